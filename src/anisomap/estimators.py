@@ -134,9 +134,9 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
 
         Notes
         -----
-        Memory does not grow with the number of frames: from more than 16,384 frames (fewer for more
-        than 512 sensors), an even sample is mapped; until then, the map is that of `fit`. Missing
-        readings are handled within each part.
+        Up to 16,384 frames (fewer for more than 512 sensors), the map equals the map by `fit`. Of
+        more frames, an even sample is kept and mapped, so memory does not grow. Missing readings
+        are handled within each part.
         """
         recording = self._added(X, first=not hasattr(self, "n_samples_seen_"))
         return self._map(Recording(self._sample.readings, names=recording.names))

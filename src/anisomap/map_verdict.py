@@ -45,8 +45,8 @@ class Verdict(Value):
     """Verdict on a map: a level, the accuracy to expect at three ranges, and the reasons.
 
     Errors are RMS errors of positions after the best similarity transform, in spacings: medians of
-    the distances between nearest neighbours. Each number has an interval that holds the true one
-    for nine of ten maps. Numbers describe the largest component; NaN if unknown.
+    the distances between nearest neighbours. The interval of the error contains the true error for
+    nine of ten usable maps. Numbers describe the largest component; NaN if unknown.
 
     Parameters
     ----------

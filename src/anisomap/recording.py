@@ -64,8 +64,8 @@ class Recording(Immutable):
     metadata : mapping of str to str, int, float or bool
         Licence, scenario, seed and the like.
     starts : tuple of int
-        First frame of each joined recording but the first, if some of them lack sensors, whose
-        readings are NaN there: see `join_runs`.
+        First frames of all joined recordings but the first, if some recordings lack sensors (whose
+        readings are then NaN): see `join_runs`.
 
     Raises
     ------
@@ -142,11 +142,11 @@ class Recording(Immutable):
         sensors : array_like of shape (E,)
             The sensor that was active: a name, or an index.
         bin_width : float, optional
-            Count the events in bins of so many seconds, from the first event on. By default, equal
-            times are one frame, in which active sensors read 1.
+            Width in seconds of the bins in which events are counted, from the first event on. By
+            default, events at the same time form a frame, in which active sensors read 1.
         names : sequence of str, optional
-            Names of all sensors, also of those that were never active. By default, those of the
-            sensors that were.
+            Names of all sensors, including sensors that were never active. By default, the names of
+            active sensors.
 
         Returns
         -------
@@ -250,9 +250,9 @@ class Recording(Immutable):
 
     @cached_property
     def levelled(self) -> Recording:
-        """The recording with one level at rest: if it steps, the frames behind are shifted.
+        """The recording with a constant level at rest: frames after a step are shifted.
 
-        Warns if most sensors step, as where sessions with zeros of their own were put together.
+        Warns if most sensors step, as in joined sessions with different zeros.
         """
         steps = steps_of_rest(self.readings)
         if not steps:
@@ -404,10 +404,10 @@ def join_runs(
     Returns
     -------
     Recording
-        All sensors, in order of appearance, without times, and with a rate and metadata only where
-        all recordings agree. If some recordings lack sensors, their readings are NaN there, and
-        `parts` are the recordings. Recordings, and parts of one, whose level at rest differs from
-        that of the first are shifted to it, with a warning. Joined recordings are not changed.
+        All sensors, in order of appearance, without times; rate and metadata are kept where all
+        recordings agree. Readings of sensors that a recording lacks are NaN; `parts` are then the
+        recordings. If the level at rest differs between recordings or steps within one, readings
+        are shifted to the first level, with a warning. The given recordings are not changed.
 
     Raises
     ------

@@ -36,7 +36,7 @@ Made by the anisomap developers; BSD-3-Clause, the licence of anisomap.
 
 
 def load_sphere() -> Bunch:
-    """Load a recording of a sphere that elastic balls hit.
+    """Load a recording of a sphere, hit by elastic balls.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def load_sphere() -> Bunch:
 
 
 def load_hexagon() -> Bunch:
-    """Load a recording of a flat patch of six triangles that a palm rubs.
+    """Load a recording of a flat patch of six triangles, rubbed by a palm.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def load_hexagon() -> Bunch:
 
 
 def load_hand() -> Bunch:
-    """Load a recording of a hand that a palm rubs.
+    """Load a recording of a hand, rubbed by a palm.
 
     Returns
     -------

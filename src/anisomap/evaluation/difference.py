@@ -43,18 +43,18 @@ class Difference(Immutable):
     Attributes
     ----------
     names : tuple of str
-        All sensors of the first map, then those that only the second has.
+        All sensors of the first map, then the sensors that only the second map contains.
     distance : ndarray of shape (M,)
-        How far each sensor moved relative to its neighbours that did not, in `units`; NaN if not
+        Displacement of each sensor relative to its unmoved neighbours, in `units`; NaN if not
         compared.
     moved : ndarray of bool, shape (M,)
         Sensors that moved farther than chance explains.
     appeared, lost : ndarray of bool, shape (M,)
-        Sensors that only the second map places, or only the first; a sensor whose health became
-        faulty is lost, and one that recovered has appeared.
+        Sensors that are placed on the second map only, or on the first map only; faulty sensors
+        count as not placed.
     smallest : float
-        The smallest move of a single sensor that can be told from chance, in `units`; infinite if
-        none can.
+        The smallest detectable move of a single sensor, in `units`; infinite if chance explains
+        every move.
     spacing : float
         Median distance between neighbours on the first map, in `units`.
     units : str
@@ -82,7 +82,7 @@ class Difference(Immutable):
 def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     """Find the sensors whose position or presence differs between two maps.
 
-    Each component is aligned robustly, so that sensors that moved do not bend the others. Since
+    Each component is aligned robustly: sensors that moved do not affect the alignment. Since
     maps of one skin differ by a smooth distortion as well, the displacement of a sensor is compared
     with the median displacement of its neighbours. Chance displacements are taken to be
     log-normal, with the median and the upper quartile of all sensors, which allows for tails that

@@ -292,7 +292,7 @@ class Score:
 
     @property
     def median_error(self) -> float:
-        """Median error after alignment, in units of the truth; few sensors do not change it."""
+        """Median error after alignment, in units of the truth; robust to a few large errors."""
         return float(np.median(self.alignment.errors))
 
     def worst(self, count: int = 5) -> NDArray[np.intp]:
@@ -340,7 +340,7 @@ def score(
         or recording is matched by sensor names and gives the units; if one side has no names, it is
         matched by order, with a note and a warning.
     exclude : iterable of str or int
-        Sensors to leave out of the comparison, by name or index; the paper excludes a failed one.
+        Sensors to leave out of the comparison, by name or index; such as failed sensors.
     units : str
         Units of the truth, if it is an array.
     permutations, rng, progress

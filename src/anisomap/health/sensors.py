@@ -215,7 +215,7 @@ class SensorHealth(Value):
     minimum, maximum : float
         Range of the readings; NaN if none is finite.
     distinct : int
-        Number of distinct values; of continuous readings in more than 8,192 frames, in 4,096.
+        Number of distinct values; of continuous readings in over 8,192 frames, counted in 4,096.
     active : float
         Share of frames beyond rest, in [0, 1].
     contacts : int

@@ -157,7 +157,7 @@ def read(
     options : ReadOptions, optional
         Information that the file lacks.
     max_readings : float
-        Most readings (frames times sensors) that are kept. From a longer recording, every k-th
+        Maximum number of readings (frames times sensors) to keep. Of a longer recording, every k-th
         frame is kept, where k is the least power of 2 that suffices; other frames take no memory.
     progress : callable, optional
         Called repeatedly with the fraction of the file read so far, from 0 to 1.
@@ -264,7 +264,7 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
     Returns
     -------
     SensorMap
-        Its units are empty if the file does not state them.
+        Its units are empty if the file does not contain them.
 
     Raises
     ------

@@ -322,7 +322,7 @@ def reconstruct_on_device(
     Raises
     ------
     InputError
-        As `anisomap.reconstruct`, or if the method or options do not serve a device.
+        As `anisomap.reconstruct`, or if the method or options are not available on a device.
     MissingExtraError
         If the compatibility layer of the array API standard (extra ``gpu``) is not installed.
 

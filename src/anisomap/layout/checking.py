@@ -78,20 +78,19 @@ def check_layout(
     Parameters
     ----------
     layout : SensorMap or array_like of shape (N, 2) or (N, 3)
-        Stated positions. A map is matched with the recording by sensor names; if no name is shared
-        and the numbers of sensors agree, by order, with a note.
+        Stated positions. A map is matched with the recording by sensor names, else by numbers in
+        the names, or by order if one side has no names, with a note.
     recording : Recording, array_like of shape (T, N), or sequence of Recording
         At least 40 frames, without missing readings (see `Recording.complete`).
     modules : Modules or int, optional
-        Modules of the layout, or the number of channels of each; by default, modules are found as
-        rigid repeats: see `anisomap.layout.find_modules`. With a template, modules are fitted to
-        the stated positions whatever their shape there; else those of one shape are.
+        Modules of the layout, or the number of channels of each. By default, repeated shapes are
+        modules: see `anisomap.layout.find_modules`. A template is fitted to all modules; without
+        a template, only modules of one shape are used.
     n_shifts : int
         Number of circular shifts of the null distribution; at least 1.
     statistics : ReadingStatistics, optional
-        Of all sensors of the recording, from
-        `anisomap.layout.reading_statistics`, to check several layouts against
-        one recording, in place of `n_shifts` shifts of it. Computed by default.
+        Statistics of all sensors of the recording, from `anisomap.layout.reading_statistics`, to
+        check several layouts against one recording. By default, computed with `n_shifts` shifts.
     rng : numpy.random.Generator or int, optional
         Draws the circular shifts. 0 by default.
 
@@ -107,14 +106,14 @@ def check_layout(
 
     Notes
     -----
-    First, the layout is compared with shuffled ones. If it explains the readings no better, or so
-    little that half of the sensors or more are elsewhere, the whole layout is rejected.
+    First, the layout is compared with shuffled layouts. It is rejected as a whole if it explains
+    the readings no better, or if at least half of the sensors seem to be at wrong places.
 
-    The evidence is how the similarity of two sensors falls with their distance on the layout. A
-    change of places must raise the log-likelihood of all similarities beyond its standard error,
-    and the mean similarity of the sensors to those around them. Two sensors closer than 2 to 3
-    spacings may read alike, so that small displacements are not found. Sensors with fewer than 5
-    contacts are not tested, nor are those that agree with others no more than after a shift.
+    The evidence is the decrease of the similarity of two sensors with their distance on the layout.
+    A change of places must increase the log-likelihood of all similarities beyond its standard
+    error, and the mean similarity of sensors to their neighbours. Small displacements are not
+    found, because sensors closer than 2 to 3 spacings may have similar readings. Sensors are not
+    tested if they have fewer than 5 contacts, or are related to others no more than after a shift.
     """
     if n_shifts < 1:
         raise InputError(f"n_shifts must be at least 1, got {n_shifts}")

@@ -64,7 +64,7 @@ class ModuleChange:
 
 @dataclass(frozen=True, eq=False)
 class LayoutFinding:
-    """Sensors that do not fit their positions, and what would explain this.
+    """Sensors that do not fit their positions, with an explanation.
 
     Attributes
     ----------
@@ -77,15 +77,15 @@ class LayoutFinding:
         Median distance between the stated and the proposed places, in units of the layout; NaN if
         no place is proposed.
     agreement_stated, agreement_proposed, agreement_second : float
-        Mean similarity of the sensors to those around their stated, their proposed, and their
-        second best places; NaN if there are none, or no second best ones.
+        Mean similarity of the sensors to the sensors around their stated, proposed and second
+        best places; NaN if there are no such sensors or places.
     gain : float
         Increase of the log-likelihood of all similarities, in nats; NaN if no place is proposed.
     z : float
-        `gain` in standard errors, from ten parts of the recording that are each left out once;
-        NaN if no place is proposed.
+        `gain` in standard errors (jackknife over ten parts of the recording); NaN if no place is
+        proposed.
     modules : tuple of ModuleChange
-        Those that are turned, mirrored or moved.
+        Modules that are turned, mirrored or moved.
     """
 
     kind: str
@@ -116,13 +116,13 @@ class LayoutCheck:
     layout : SensorMap
         The layout that was checked.
     corrected : SensorMap
-        The same with the proposed places; equal if none are proposed.
+        The layout with the proposed places; equal to `layout` if none are proposed.
     status : tuple of str
-        Of each sensor of the layout: a key of `KINDS`, ``"ok"``, or ``"not tested"``.
+        Status of each sensor of the layout: a key of `KINDS`, ``"ok"``, or ``"not tested"``.
     findings : tuple of LayoutFinding
         Ordered by kind as in `KINDS`, then by the first sensor.
     agreement : ndarray of shape (N,)
-        Mean similarity of each sensor to those around its stated place; NaN if it is not tested
+        Mean similarity of each sensor to the sensors around its place; NaN if it is not tested
         or has no neighbour within 2.6 spacings.
     module : ndarray of int, shape (N,)
         Module of each sensor, from 0; -1 without one.
@@ -131,11 +131,11 @@ class LayoutCheck:
     p : float
         Probability that a layout whose sensors are shuffled agrees with the readings as well.
     explained : float
-        Agreement of the layout beyond that of shuffled ones, over the highest possible: about 1 for
-        a right layout, 0 for a shuffled one, 0.25 if half of the sensors are shuffled.
+        Agreement of the layout relative to shuffled layouts (0) and to the highest possible
+        agreement (1); about 1 for a correct layout, 0.25 if half of the sensors are shuffled.
     verdict : str
         ``"consistent"``; ``"not consistent"``: sensors are flagged, in findings; ``"rejected"``:
-        half of the sensors or more are at wrong places, so that single ones are not listed; or
+        at least half of the sensors are at wrong places, so single sensors are not listed; or
         ``"unknown"``: the recording has too little evidence.
     notes : tuple of str
         What was not tested, and other caveats.

@@ -61,14 +61,14 @@ def find_modules(layout: SensorMap, modules: Modules | int | None = None) -> Mod
     ----------
     layout : SensorMap
     modules : Modules or int, optional
-        Modules of the sensors of the layout, or the number of channels of each module, those
-        without a sensor included. By default, they are found: blocks of consecutive channels
-        whose shapes repeat.
+        Modules of the sensors of the layout, or the number of channels of each module, including
+        channels without a sensor. By default, modules are blocks of consecutive channels whose
+        shapes repeat.
 
     Returns
     -------
     Modules
-        Without a template, unless one was given. There are no modules if no shapes repeat.
+        Without a template, unless `modules` has one. Empty if no shapes repeat.
 
     Raises
     ------
@@ -77,9 +77,9 @@ def find_modules(layout: SensorMap, modules: Modules | int | None = None) -> Mod
 
     Notes
     -----
-    Channels are the numbers at the end of the names (``taxel97``) if these are different, else the
-    order of the sensors. The first channel of a module is chosen such that the shapes of most
-    modules are the same, and that there are as few as possible.
+    Channels are the numbers at the end of the names (``taxel97``) if they are unique, else the
+    order of the sensors. The first channel of a module is chosen such that most modules have the
+    same shape, and the number of modules is as small as possible.
     """
     if isinstance(modules, Modules):
         if len(modules.index) != layout.n_sensors:

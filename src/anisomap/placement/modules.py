@@ -285,11 +285,11 @@ class ModuleFit(NamedTuple):
 def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
     """Fit the poses of rigid modules to a map of one component.
 
-    Poses explain two things: the positions on the map, and the distances on the map between nearby
-    sensors of different modules, times the local scale, which the modules themselves give. Maps
-    bend over long distances; the more the local scale varies beyond noise, the less positions
-    count against distances. Sensors on no module,
-    or on one with fewer than 3 placed pads, move alone.
+    Poses are fitted to the positions on the map, and to the distances on the map between nearby
+    sensors of different modules. Distances are multiplied by the local scale, which follows from
+    the modules. Positions have less weight the more the local scale varies beyond noise, since maps
+    bend over long distances. Sensors without a module, or on a module with fewer than 3 placed
+    pads, are fitted singly.
 
     Parameters
     ----------

@@ -61,7 +61,7 @@ class Placement:
     residuals : ndarray of shape (n,)
         Distances of the anchors from their places on the map, in metres.
     left_out_errors : ndarray of shape (n,)
-        The same, each with a fit to the other anchors of its component; NaN with fewer than 5.
+        Errors of each anchor predicted from the others of its component; NaN with fewer than 5.
     methods : tuple of str
         How each component was placed, the largest first.
     left_out : tuple of str
@@ -102,7 +102,7 @@ def place(
     spacing : (float, str), optional
         Median distance between neighbouring sensors and its unit.
     handedness : {"", "same", "mirrored"}
-        Whether the map has the handedness of the skin, if the user knows.
+        Handedness of the map compared with the skin, if known.
 
     Returns
     -------

@@ -93,8 +93,8 @@ def simulate(
     n_frames : int
         Number of frames.
     seed : int or numpy.random.Generator
-        The same seed gives the same recording, byte for byte on one machine. From a generator, a
-        seed is drawn and stored in the metadata, so that the recording can be reproduced.
+        The same seed gives the same recording, byte for byte on one machine. A seed drawn from a
+        generator is stored in the metadata, so that the recording can be reproduced.
     n_sensors : int, optional
         Number of sensors on a named body. Defaults to the number of the body, such as 60 on the
         sphere.

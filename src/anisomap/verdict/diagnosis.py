@@ -102,12 +102,12 @@ def diagnose(
         resampled recordings and a second map.
     contacts : str
         Shape of all contacts: ``"compact"``, as of a fingertip, a palm or a ball, or
-        ``"elongated"``, as of an edge or a roller; by default, what the metadata of the recording
-        state. Without it, a map of sensors that are not evenly spaced is usable for neighbours at
-        best, since long contacts squash such maps unseen.
+        ``"elongated"``, as of an edge or a roller; taken from the metadata of the recording by
+        default. Unless contacts are compact, a map of unevenly spaced sensors is usable for
+        neighbours at best, because its compression by long contacts cannot be detected.
     uneven : bool
-        Whether sensors are known not to be evenly spaced on the skin. Otherwise, a map on which
-        they are not is usable for neighbours at best: it may be folded.
+        Whether sensors are known to be unevenly spaced on the skin. Otherwise, a map with unevenly
+        spaced sensors is usable for neighbours at best, because it may be folded.
     rng : numpy.random.Generator or int, optional
         Draws the resamples; seed 0 by default.
     progress : callable, optional

@@ -85,7 +85,7 @@ def map_figure(sensor_map: SensorMap, score: Score | None = None) -> Figure:
     With a score, the figure shows the true positions, the map aligned with them (same view, same
     limits), and the distances on the map against the true ones. True neighbours are joined in both
     configurations, so that folds and tears are visible, and a sensor has the same colour in both.
-    Without a score, it shows the map from three sides, or in 2D, with its own neighbours joined.
+    Without a score, it shows the map (in 3D from three sides) with nearest neighbours joined.
     Every further component has its own panel; components of a single sensor are only counted.
 
     Parameters
@@ -430,7 +430,7 @@ def plot_placement(
     *,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot a placed map, and where its anchors are.
+    """Plot a placed map with its anchors.
 
     Parameters
     ----------
@@ -440,7 +440,7 @@ def plot_placement(
     mesh : Mesh, optional
         Drawn in 3D only.
     ax : matplotlib Axes, optional
-        See `plot`, as for what is returned and raised.
+        See `plot`, also for what is returned and raised.
     """
     placed = in_millimetres(placement.map)
     names = set(() if anchors is None else anchors.names)
@@ -464,7 +464,7 @@ def plot_placement(
 def plot_layout(
     check: LayoutCheck, *, title: str = "Check of a layout", ax: Axes | None = None
 ) -> Axes:
-    """Plot a layout, with arrows from the stated places to those that the readings propose.
+    """Plot a layout, with arrows from stated to proposed positions.
 
     Parameters
     ----------
@@ -472,7 +472,7 @@ def plot_layout(
         From `anisomap.check_layout`.
     title : str
     ax : matplotlib Axes, optional
-        See `plot`, as for what is returned and raised.
+        See `plot`, also for what is returned and raised.
     """
     layout, corrected = in_millimetres(check.layout), in_millimetres(check.corrected)
     status = np.array(["as stated" if one == "ok" else one for one in check.status])
