@@ -206,7 +206,7 @@ def draw(results: Sequence[Result], path: Path) -> None:
     worst seed of the other methods.
     """
     figure = Figure(figsize=(11, 6.5), layout="constrained")
-    panels = figure.subplots(2, 3, sharex=True)
+    panels = figure.subplots(2, 3, sharex=True, sharey=True)
     scored = frame(results).dropna(subset="mantel_r")
     looks = dict(zip(scored.method.unique(), cycle(COLOURS), strict=False))
     for (body, scenario), axes in zip(SCENARIOS, panels.flat, strict=True):

@@ -101,7 +101,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
             centred=True,
         ),
         "contact-agreement": Similarity(
-            "agreement over distinct contacts (kappa), for binary readings",
+            "agreement over distinct contacts (kappa), for readings that are on or off",
             lambda x, _: contact_agreement(x),
             lambda x, *_: Contacts.of(x),
         ),
