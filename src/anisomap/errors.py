@@ -1,8 +1,6 @@
-"""Exceptions and warnings.
+"""Exceptions and warnings, and import of optional libraries on first use.
 
-Every message states the problem, its place (file, line, sensor or frame) and what is expected.
-
-Import of optional libraries, on first use.
+Every message contains the problem, its place (file, line, sensor or frame) and the expected input.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from typing import Any
 from anisomap.base.wording import printable, shortened
 
 MAX_CHARACTERS = 300
-"""Maximum length of the message of an error; names from files may be of any length."""
+"""Maximum length of an error message; names in files may have any length."""
 
 _MAX_REASON = 200
 
@@ -24,9 +22,9 @@ class AnisomapError(Exception):
     Parameters
     ----------
     problem : str
-        What is wrong, in one sentence; the middle of one longer than `MAX_CHARACTERS` is left out.
+        The problem in one sentence; it is shortened in the middle to `MAX_CHARACTERS`.
     hint : str
-        What to do; callers of their own interface replace it.
+        The remedy; interfaces may replace it.
     """
 
     def __init__(self, problem: str = "", hint: str = "") -> None:
@@ -47,7 +45,7 @@ class DamagedError(FileError):
 
 
 class MissingExtraError(AnisomapError, ImportError):
-    """An optional dependency that the call needs is not installed.
+    """A required optional dependency is not installed.
 
     Parameters
     ----------
@@ -76,9 +74,9 @@ def error_reason(error: BaseException) -> str:
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra from where the package was installed.
+    """Return the command that installs an extra from the source of the installed package.
 
-    The installer leaves the source beside the package, unless it was an index:
+    The installer records the source beside the package, unless it is an index:
     https://packaging.python.org/en/latest/specifications/direct-url.
     """
     import json  # noqa: PLC0415
@@ -94,7 +92,7 @@ def install_command(extra: str) -> str:
     editable = source.get("dir_info", {}).get("editable", False)
     if url.startswith("file:"):
         path = unquote(urlsplit(url).path)
-        drive = path[2:3] == ":"  # of Windows, as in /C:/skin
+        drive = path[2:3] == ":"  # a Windows path such as /C:/skin
         wanted = f"{path[1:] if drive else path}[{extra}]"
     elif url:
         system = source.get("vcs_info", {}).get("vcs", "")
@@ -103,7 +101,7 @@ def install_command(extra: str) -> str:
 
 
 def import_extra(module: str, purpose: str, extra: str) -> Any:
-    """Import a library that an extra installs, typed as Any, since it may be absent.
+    """Import an optional library of an extra; typed as Any, since it may be absent.
 
     purpose: Subject of the error message, such as ``"reading HDF5"``.
     """

@@ -1,4 +1,4 @@
-"""Estimators with scikit-learn's interface: for columns (sensors), and for rows (objects)."""
+"""Estimators with the interface of scikit-learn, for columns (sensors) and for rows (objects)."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
     n_components : int or "auto", default="auto"
         Number of dimensions of the map: see `anisomap.reconstruct`.
     method : str, default="covariogram"
-        A key of `anisomap.method.named.METHODS`; the default is that of `anisomap.reconstruct`.
+        A key of `anisomap.method.named.METHODS`; the default is as in `anisomap.reconstruct`.
     regularisation, entropy_bins : float, int
         See `anisomap.MethodOptions`.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
     missing : {"error", "drop-frames", "interpolate"}, default="error"
-        How to handle NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
+        Handling of NaN in X: see `anisomap.Recording.complete`. With ``"error"`` and
         ``"drop-frames"``, `transform` ignores missing readings of a frame.
 
     Attributes
@@ -118,7 +118,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Parameters
         ----------
         X : array_like of shape (n_frames, n_sensors)
-            Readings that follow those seen before.
+            Readings that follow the previous ones.
         y : object
             Ignored.
 
@@ -170,15 +170,15 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         Parameters
         ----------
         X : array_like of shape (n_frames, n_sensors)
-            Readings, such as those that a cross-validation left out.
+            Readings, such as held-out frames of a cross-validation.
         y : object
             Ignored.
 
         Returns
         -------
         float
-            Rank correlation, in [-1, 1], of Pearson's r in these frames with the negative distance
-            on the map, over pairs of sensors of the largest component that vary in these frames.
+            Rank correlation, in [-1, 1], of Pearson's r in these frames with negative distances on
+            the map, over pairs of sensors of the largest component that vary in these frames.
             NaN if all r or all distances are equal.
         """
         check_is_fitted(self)
@@ -208,7 +208,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         return Recording(readings, names=tuple(names)).complete(self.missing)
 
     def _checked(self, X: ArrayLike, *, reset: bool) -> NDArray[np.floating]:
-        """Check readings as scikit-learn does; the error on missing ones names our option."""
+        """Check readings as scikit-learn does; the error on missing readings names our option."""
         readings = validate_data(
             self,
             X,
@@ -226,7 +226,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
         return np.asarray(readings)
 
     def _added(self, X: ArrayLike, *, first: bool) -> Recording:
-        """Add frames to the sample, or begin a new one with them."""
+        """Add frames to the sample, or begin a new sample with them."""
         recording = self._validated(X, reset=first)
         if first:
             self.n_samples_seen_ = 0
@@ -254,10 +254,9 @@ class Anisomap(BaseEstimator):
     """ANISOMAP embedding of objects (rows): scaling of their metricised dissimilarities.
 
     An alternative to scikit-learn's ``MDS`` and ``Isomap`` that supports any semi-metric, weights
-    and missing pairs. Like ``MDS``, it has no `transform` for new objects. The
-    parameters of ``MDS`` have other names here: `metric_mds` is `method`, `dissimilarity` is
-    `metric`, `eps` is `tol`, and `init` is an argument of `fit`; `normalized_stress`, `n_jobs` and
-    `verbose` have no counterpart.
+    and missing pairs. Like ``MDS``, it has no `transform` for new objects. Parameters of ``MDS``
+    have different names: `metric_mds` is `method`, `dissimilarity` is `metric`, `eps` is `tol`, and
+    `init` is an argument of `fit`; `normalized_stress`, `n_jobs` and `verbose` have no counterpart.
 
     Parameters
     ----------
@@ -270,13 +269,13 @@ class Anisomap(BaseEstimator):
     metric_params : dict, optional
         Additional arguments of `metric`.
     method : {"anisomap", "mds", "ordinal"}, default="anisomap"
-        What distances approximate: the lengths of shortest paths, the dissimilarities themselves,
-        or their order (non-metric scaling).
+        Targets of the distances: the lengths of shortest paths, the dissimilarities, or their order
+        (non-metric scaling).
     n_init : int, default=1
         Number of initial configurations; the result with the least stress is kept. The first one
-        is Torgerson's classical scaling or `init`; further ones are random.
+        is Torgerson's classical scaling or `init`; all others are random.
     random_state : int, RandomState or None, default=None
-        Generator, or its seed, of the further initial configurations.
+        Generator of the random initial configurations, or its seed.
     tol, max_iter : float, int
         Stopping criteria: see `anisomap.numerics.scaling.multidimensional_scaling.SmacofOptions`.
 
@@ -285,8 +284,8 @@ class Anisomap(BaseEstimator):
     embedding_ : ndarray of shape (n_samples, n_components)
         Positions of the objects.
     metric_matrix_ : ndarray of shape (n_samples, n_samples)
-        The distances that were approximated: metricised dissimilarities, the dissimilarities, or
-        with ``method="ordinal"`` the monotone function of them that fits best.
+        The target distances: metricised dissimilarities, the dissimilarities, or with
+        ``method="ordinal"`` the best-fitting monotone function of the dissimilarities.
     stress_ : float
         Stress-1 of `metric_matrix_`; 0 is a perfect fit.
     n_iter_ : int
@@ -452,7 +451,7 @@ class Anisomap(BaseEstimator):
         return tags
 
 
-_ROUNDING = 1e-9  # of 1 - r and the like, relative to the largest dissimilarity
+_ROUNDING = 1e-9  # of dissimilarities such as 1 - r, relative to the largest
 
 
 def _are_dissimilarities(values: NDArray[np.float64]) -> bool:

@@ -1,7 +1,7 @@
-"""What is taken from objects of other libraries: readings, names, times and a rate.
+"""Conversion of objects of other libraries to readings, names, times and a rate.
 
-pandas: columns are sensors, but for a column of times; an index of dates gives times. xarray: the
-names of the dimensions and their coordinates give time and names. mne: the channels of a raw
+pandas: columns are sensors, except for a column of times; an index of dates gives times. xarray:
+the names of dimensions and their coordinates give times and names. mne: the channels of a raw
 recording, without triggers and channels marked as bad.
 """
 
@@ -28,17 +28,17 @@ from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 
 _CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
-"""Types of channels of mne that are sensors."""
+"""Types of mne channels that are sensors."""
 
-# Chosen by hand: a recording in which fewer than one bin in a thousand holds an event has a wrong
-# time or bin width. Short recordings may have more empty bins.
+# Chosen by hand: times or the bin width are wrong if fewer than one bin in a thousand contains an
+# event. Short recordings may have more empty bins.
 _MAX_BINS_PER_EVENT, _MIN_REFUSED_BINS = 1000, 1 << 16
 _EDGE_DECIMALS = 6  # in widths of a bin: decimal times on its edge are not exact in binary
 
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """Readings, (T, N), and what the object has beside them: names, times in seconds, a rate."""
+    """Readings, (T, N), and names, times in seconds and a rate, if the object contains them."""
 
     readings: NDArray[np.floating]
     names: tuple[str, ...] = ()
@@ -48,8 +48,8 @@ class Taken:
 
 
 def take(values: Any) -> Taken:
-    """Take a recording from an object of another library; others are converted to arrays."""
-    if hasattr(values, "positions"):  # its coordinates would be read as three sensors
+    """Convert an object of another library; all other objects are converted to arrays first."""
+    if hasattr(values, "positions"):  # coordinates of a map would be read as three sensors
         raise InputError(f"a recording is required here, got a map ({type(values).__name__})")
     if hasattr(values, "get_data") and hasattr(values, "ch_names"):
         return _of_mne(values)
@@ -63,7 +63,7 @@ def take(values: Any) -> Taken:
 def take_events(
     times: ArrayLike, sensors: ArrayLike, bin_width: float | None, names: Sequence[str] | None
 ) -> Taken:
-    """Take frames from times, (E,), and the sensors that were active: `Recording.from_events`."""
+    """Make frames from times, (E,), and active sensors: see `Recording.from_events`."""
     at, active = np.asarray(times, dtype=np.float64), np.asarray(sensors)
     if at.ndim != 1 or at.shape != active.shape or not at.size or active.dtype.kind not in "iuU":
         raise InputError(
@@ -102,7 +102,7 @@ def take_events(
 
 
 def as_array(values: Any) -> NDArray[Any]:
-    """Convert to an array of real numbers, masked values to NaN."""
+    """Convert to an array of real numbers; masked values become NaN."""
     if np.ma.is_masked(values) and values.dtype.kind in "biuf":
         values = values.astype(np.result_type(values.dtype, np.float16)).filled(np.nan)
     try:
@@ -117,7 +117,7 @@ def as_array(values: Any) -> NDArray[Any]:
 
 
 def _of_array(array: NDArray[Any]) -> Taken:
-    """Take frames from an array; of more than two axes, the longest is time."""
+    """Convert an array to frames; with more than two axes, the longest axis is time."""
     if array.ndim == 2:
         return Taken(_floats(array))
     frames = frames_of(array.shape)
@@ -164,7 +164,7 @@ def _of_frame(frame: Any) -> Taken:
             f"these columns hold no numbers: {join_items(texts)}", f"use .drop(columns={texts[:9]})"
         )
     chosen = frame.iloc[:, columns]
-    mixed = len({dtype.kind for dtype in chosen.dtypes}) > 1  # which NumPy holds as objects
+    mixed = len({dtype.kind for dtype in chosen.dtypes}) > 1  # NumPy would make objects of them
     values = as_array(chosen.astype(np.float64) if mixed else chosen)
     taken = _sensors(values, [names[i] for i in columns])
     return Taken(taken.readings, taken.names, times)
@@ -218,7 +218,7 @@ def _of_mne(raw: Any) -> Taken:
 
 
 def _floats(array: NDArray[Any]) -> NDArray[np.floating]:
-    """Return readings that cannot be changed, as float32 if that is exact for their type."""
+    """Return read-only readings, as float32 if this is exact for their type."""
     if 0 in array.shape:
         raise InputError(f"readings must not be empty, got shape {array.shape}")
     fits_float32 = array.dtype in (np.float16, np.float32) or (
@@ -231,7 +231,7 @@ def _floats(array: NDArray[Any]) -> NDArray[np.floating]:
 
 
 def times_of(times: ArrayLike, n_frames: int) -> NDArray[np.float64]:
-    """Return times in seconds, (T,), that increase; dates count from the first."""
+    """Return increasing times in seconds, (T,); dates start at 0."""
     try:
         values, _ = seconds(times)
     except (TypeError, ValueError):

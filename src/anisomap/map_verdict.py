@@ -1,4 +1,4 @@
-"""How far a map can be used: the verdict, its accuracy at three ranges, and the reasons."""
+"""Verdict on the use of a map: level, accuracy at three ranges, and reasons."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from anisomap.errors import InputError
 from anisomap.notes import scaled_note
 
 UNKNOWN = "cannot tell"
-"""Level of a map that was not examined, or cannot be."""
+"""Level of a map that was not, or cannot be, examined."""
 
 LEVELS: Mapping[str, str] = MappingProxyType(
     {
@@ -37,7 +37,7 @@ FORMER_LEVELS: Mapping[str, str] = MappingProxyType(
 
 RANGES = ("expected_error", "region_error", "neighbours_kept")
 ACCURACY = (*(f"{name}{end}" for name in RANGES for end in ("", "_low", "_high")), "repeatability")
-"""Names of the numbers of a verdict."""
+"""Names of the numeric fields of a verdict."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Verdict(Value):
     neighbours_kept, neighbours_kept_low, neighbours_kept_high : float
         Share of the true neighbours that are neighbours on the map, in [0, 1].
     repeatability : float
-        RMS difference, in spacings, that another recording of the same kind and length makes.
+        RMS difference, in spacings, from the map of another recording of equal kind and length.
     reasons : tuple of str
         Sentences, the worst first.
 

@@ -1,4 +1,4 @@
-"""Names of sensors: how they are looked up, and how those of two sides are matched."""
+"""Look-up and matching of the names of sensors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def sensor_mask(
 ) -> NDArray[np.bool_]:
     """Mark sensors given by name, index, range (``c0-c35``) or pattern (``*_z``): shape (N,).
 
-    kind: What an error calls them.
+    kind: Name for the sensors in error messages.
     """
     if isinstance(sensors, str | int):
         sensors = [sensors]
@@ -70,7 +70,7 @@ def sensor_mask(
 
 
 def _several(names: Sequence[str], by_name: Mapping[str, int], text: str) -> list[int]:
-    """Return the sensors of a pattern with ``*`` or ``?``, or from one to another in order."""
+    """Return the sensors of a pattern with ``*`` or ``?``, or of a range."""
     if "*" in text or "?" in text:
         pattern = re.escape(text).replace(r"\*", ".*").replace(r"\?", ".")
         return [i for i, name in enumerate(names) if re.fullmatch(pattern, name, re.DOTALL)]
@@ -86,7 +86,7 @@ def _several(names: Sequence[str], by_name: Mapping[str, int], text: str) -> lis
 
 
 def match_names(names: Iterable[str], among: Sequence[str]) -> NDArray[np.intp]:
-    """Find names among others: their indices, -1 for those that are not there."""
+    """Return the indices of names among others; -1 for missing names."""
     place = {name: i for i, name in enumerate(among)}
     return np.array([place.get(name, -1) for name in names], dtype=np.intp)
 
@@ -94,9 +94,9 @@ def match_names(names: Iterable[str], among: Sequence[str]) -> NDArray[np.intp]:
 def match_sensors(
     names: Sequence[str], among: Sequence[str], what: str
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Match sensors by name, by channel, or by order if a side has no names; return indices.
+    """Match sensors by name, by channel, or by order if one side has no names; return indices.
 
-    Also return a note, unless matched by name. A side without names has default ones, or numbers.
+    Also return a note unless matched by name. Default names and numbers count as no names.
     """
     found = match_names(names, among)
     if (found >= 0).any():

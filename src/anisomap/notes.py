@@ -1,6 +1,6 @@
-"""Notes on a map: kinds with values, which are put into words here alone.
+"""Notes on a map: kinds with values, and the only definitions of their texts.
 
-Decisions test the kind of a note, never its text.
+Decisions depend on the kind of a note, never on the text.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from anisomap.base.wording import join_items
 
 
 class Note(str):
-    """A caveat, which is the sentence that says it.
+    """A caveat; the string is the sentence.
 
     Parameters
     ----------
     kind : str
         A key of `WORDINGS`.
     **values
-        What the wording of this kind states.
+        Values for the wording of this kind.
     """
 
     kind: str
     values: Mapping[str, Any]
 
     def __new__(cls, kind: str, **values: Any) -> Note:
-        """Word a note."""
+        """Format a note."""
         note = super().__new__(cls, WORDINGS[kind](**values))
         note.kind, note.values = kind, MappingProxyType(values)
         return note
@@ -46,7 +46,7 @@ _TOUCHED = ("apart", "paired", "few-sensors", "chance", "halves-disagree")
 
 
 def untouched(note: str) -> str:
-    """Return a note with advice for electrodes, which nobody touches."""
+    """Return a note with advice for electrodes, which are not touched."""
     if isinstance(note, Note) and note.kind in _TOUCHED:
         return Note(note.kind, **note.values, touched=False)
     return note
@@ -56,16 +56,16 @@ _SIZE = re.compile(r"\bby (\d+\.\d+) spacings")
 
 
 def kind_of(note: str) -> str:
-    """Return the kind of a note; empty for one that was read from a file."""
+    """Return the kind of a note; empty for a note that was read from a file."""
     return note.kind if isinstance(note, Note) else ""
 
 
 def scaled_note(note: str, spacing: float, unit: str) -> str:
-    """Return a note whose size is in spacings with its length in a unit; other notes as they are.
+    """Return a note with its size in spacings converted to a length; other notes are unchanged.
 
     spacing: Length of a spacing.
     """
-    if not isinstance(note, Note):  # it was read from a file
+    if not isinstance(note, Note):  # read from a file
         return _SIZE.sub(lambda size: f"by {spacing * float(size[1]):.2f} {unit}", note)
     if "size" not in note.values:
         return note
@@ -235,4 +235,4 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         ),
     }
 )
-"""The sentence of each kind of note, from its values."""
+"""Functions that format the sentence of each kind of note from its values."""

@@ -1,6 +1,6 @@
 """The route from files to a judged map: read, mend, complete, examine, map and judge.
 
-Each function takes what the one before it returns.
+Each function takes the result of the preceding one.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from anisomap.sensor_map import SensorMap
 from anisomap.verdict.diagnosis import diagnose
 
 MAX_READINGS = 1 << 27
-"""Readings above which a recording is sampled: 512 MiB of float32."""
+"""Maximum number of readings; longer recordings are sampled. 512 MiB of float32."""
 
-_LEAST_OBJECTS = 4  # smaller matrices look like many tables
-_ROUNDING = 1e-6  # of values that were printed with 7 digits, relative to the largest
+_LEAST_OBJECTS = 4  # many tables resemble smaller matrices
+_ROUNDING = 1e-6  # of values printed with 7 digits, relative to the largest
 
 logger = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ logger = logging.getLogger(__name__)
 class Examined:
     """A recording, with its sensor health, summary and faults.
 
-    findings: Faults that are left.
+    findings: Remaining faults.
     mended: Faults that were mended.
     drop: Sensors to leave out of the map.
     """
@@ -69,7 +69,7 @@ def read(
 
 
 def _refuse_dissimilarities(path: Path, readings: NDArray[np.floating]) -> None:
-    """Refuse a square matrix of which most pairs are symmetric, with 0 on the diagonal only."""
+    """Refuse a square matrix with mostly symmetric pairs, and zeros only on the diagonal."""
     n = len(readings)
     if n < _LEAST_OBJECTS or readings.shape != (n, n):
         return
@@ -94,9 +94,9 @@ def read_runs(
 ) -> list[Recording]:
     """Read one recording, or several of one skin.
 
-    If all together have more readings than allowed, frames are sampled evenly in time, with a
-    warning. A preset leaves out channels that are constant in all runs, so that runs are joined
-    before it is applied.
+    If all runs together exceed the maximum number of readings, frames are sampled evenly in time,
+    with a warning. Runs are joined before a preset is applied, since a preset leaves out channels
+    that are constant in all runs.
     """
     joined = len(paths) > 1 and bool(how.preset)
     each = replace(how, preset="", positions=None) if joined else how
@@ -129,7 +129,7 @@ def _sampling_note(recording: Recording) -> tuple[str, ...]:
 
 
 def complete(runs: Recording | Sequence[Recording], missing: MissingPolicy) -> Recording:
-    """Handle missing readings, and join the runs; an error names the option that does."""
+    """Handle missing readings, and join the runs; errors name the option for missing readings."""
     try:
         return join_runs(runs, missing)
     except InputError as error:
@@ -144,7 +144,7 @@ def split_names(
 ) -> list[str]:
     """Split a list of sensors at commas, unless a sensor name contains the comma.
 
-    Columns that the reader has left out, according to the metadata, are ignored.
+    Columns that the reader left out, according to the metadata, are ignored.
     """
     left_out = ("text_columns", "other_columns")
     skipped = " ".join(str((metadata or {}).get(key, "")) for key in left_out)
@@ -157,9 +157,9 @@ def split_names(
 def find_dropped(
     chosen: Sequence[str] | None, names: Sequence[str]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the sensors of a list, which `split_names` splits, and its parts that name none.
+    """Return the sensors of a list, split by `split_names`, and its parts that name no sensor.
 
-    Nothing is known while there are no names.
+    Both are empty if there are no names yet.
     """
     found, unknown = set[int](), []
     for text in split_names(chosen, names) if names else []:
@@ -181,11 +181,11 @@ def examine(
     mended: Faults, from `anisomap.repair`.
     drop: Sensors to leave out of the map: see `split_names`.
     """
-    # Comparing all pairs of so many sensors that no map fits into memory takes hours.
+    # Without this check, sensors whose pairs do not fit into memory would be compared for hours.
     check_pair_memory(recording.n_sensors, refined=False)
     joined = join_runs(recording)
     dropped = split_names(drop, joined.names, joined.metadata)
-    joined.indices(dropped)  # unknown names are refused at once
+    joined.indices(dropped)  # refuse unknown names early
     health = assess(joined)
     found = find_faults(joined) if mended is None else [one for one in mended if not one.mendable]
     done = [one for one in mended or () if one.mendable]

@@ -1,4 +1,4 @@
-"""A map: the positions of the sensors of a skin, and how reliable they are. Immutable."""
+"""A map: the positions of the sensors of a skin, and their reliability. Immutable."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNSCALED = ("", "arbitrary")
 """Units of positions with unknown scale."""
 
 MAX_COORDINATE = 1e75
-"""Greatest coordinate of a map and of what it is aligned to; fourth powers of it are finite."""
+"""Maximum coordinate of a map and of the truth; its fourth power is finite."""
 
 UNASSESSED = "unassessed"
 """Health of a sensor before `anisomap.diagnose`."""
@@ -33,20 +33,20 @@ SILENT = "silent"
 """Status of a sensor that is constant at rest: never touched, or dead."""
 
 FEW_CONTACTS = "few contacts"
-"""Status of a sensor with too few contacts to tell more."""
+"""Status of a sensor with too few contacts for other tests."""
 
 DEFAULT_FRAME = "skin"
 
 DEFAULT_KIND = "sensor"
-"""What a map places, unless it was made from dissimilarities of objects."""
+"""Kind of the points of a map, unless it was made from dissimilarities of objects."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SensorMap(Immutable):
     """Positions of N sensors, known up to rotation, translation, scale and reflection, or placed.
 
-    ``len(m)`` is the number of sensors, ``m["name"]`` the position of one, and ``np.asarray(m)``
-    all positions, shape (N, k); iteration gives the names.
+    ``len(m)`` is the number of sensors, ``m["name"]`` the position of a sensor, and
+    ``np.asarray(m)`` all positions, shape (N, k); iteration yields the names.
 
     Parameters
     ----------
@@ -72,33 +72,33 @@ class SensorMap(Immutable):
     n_iterations : int
         Iterations of SMACOF; the largest number over all components.
     verdict : Verdict
-        How far the map can be used, from `anisomap.diagnose`; its level is ``"cannot tell"`` by
+        Verdict on the use of the map, from `anisomap.diagnose`; the level is ``"cannot tell"`` by
         default.
     distorted : bool
-        Whether lengths in the largest component are distorted in a way that maps of parts of the
-        recording share, because contacts differ from place to place.
+        Whether lengths in the largest component are distorted because contacts differ between
+        places; maps of parts of the recording have the same distortion.
     kind : str
-        What the map places: ``"sensor"``, or ``"object"`` if it was made from dissimilarities.
+        Kind of the points: ``"sensor"``, or ``"object"`` if the map was made from dissimilarities.
     mirrored : bool
         Whether the map was reflected after it was made.
     handed : bool
-        Whether the handedness of the map is known to be that of the skin.
+        Whether the map is known to have the handedness of the skin.
     anchored : bool
         Whether positions are in the frame `frame` of the robot, up to `errors`.
     errors : array_like of shape (N,), optional
-        Distance from the true position, in `units`, that holds with a probability of 90 %; NaN if
-        unknown.
+        Radius about each position, in `units`, that contains the true position with a probability
+        of 90 %; NaN if unknown.
     covariances : array_like of shape (N, k, k), optional
-        Covariance of each position, of chance and systematic errors, in squared `units`, up to a
-        similarity transform of its component; symmetric, NaN if unknown. None if all are unknown.
-        `ellipses` returns the ellipses of 95 %.
+        Covariance of each position, by chance and systematic errors, in squared `units`, up to a
+        similarity transform of the component; symmetric, NaN if unknown. None if all are unknown.
+        `ellipses` returns 95 % ellipses.
     normals : array_like of shape (N, 3), optional
         Outward unit normals, NaN if unknown; None if they are to be estimated from the positions.
     notes : sequence of str
         Caveats; empty if none are known.
     provenance : mapping of str to str, int, float or bool
-        Source, parameters, seed and version, with which the map can be reproduced. Documentation
-        only: it affects no computation.
+        Source, parameters, seed and version, with which the map can be reproduced. It does not
+        affect computations.
 
     Raises
     ------
@@ -180,7 +180,7 @@ class SensorMap(Immutable):
 
     @property
     def known_up_to(self) -> str:
-        """Transformations that leave the map equally valid; empty in the robot's frame."""
+        """Transformations up to which the map is known; empty in the frame of the robot."""
         if self.anchored:
             return ""
         scale = ["scale"] if self.units in UNSCALED else []
@@ -190,7 +190,7 @@ class SensorMap(Immutable):
 
     @property
     def pose(self) -> str:
-        """Whether the map is in the robot's frame, or else what it is known up to."""
+        """Text: the map is in the frame of the robot, or the transformations it is known up to."""
         return "placed in the robot's frame" if self.anchored else f"known up to {self.known_up_to}"
 
     @property
@@ -260,7 +260,7 @@ class SensorMap(Immutable):
         Returns
         -------
         SensorMap
-            The map of those sensors; components are renumbered from 0 in the same order.
+            The map of the selected sensors; components are renumbered from 0 in the same order.
         """
         chosen = np.arange(self.n_sensors)[np.asarray(sensors)]
         labels = self.component[chosen]
@@ -358,7 +358,7 @@ def check_coordinates(points: NDArray[np.float64], names: Sequence[str], what: s
 
 
 def is_faulty(status: str) -> bool:
-    """Return whether a status in `SensorMap.health` is that of a faulty sensor."""
+    """Return whether a status in `SensorMap.health` denotes a faulty sensor."""
     return status not in ("ok", UNASSESSED, SILENT, FEW_CONTACTS)
 
 
@@ -379,7 +379,7 @@ def ellipses(
     lengths : ndarray of shape (n, k)
         Lengths of the half axes, the longest first; NaN if unknown.
     directions : ndarray of shape (n, k, k)
-        Unit vectors along them, in rows.
+        Unit vectors along the half axes, in rows.
     """
     values = np.asarray(covariances, dtype=np.float64)
     known = np.isfinite(values).all(axis=(1, 2))
@@ -392,5 +392,5 @@ def ellipses(
 
 
 def radius(dimensions: int, level: float = 0.95) -> float:
-    """Return the radius of the ball that holds a share of a standard normal distribution."""
+    """Return the radius of the ball that contains a share of a standard normal distribution."""
     return float(np.sqrt(2 * gammaincinv(dimensions / 2, level)))  # chi distribution

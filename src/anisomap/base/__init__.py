@@ -1,4 +1,4 @@
-"""What all rooms use, and defaults that help shows without importing what uses them."""
+"""Modules that all packages use, and defaults that help shows without heavy imports."""
 
 DEFAULT_METHOD = "covariogram"
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-_MIN_MATCHED = 0.9  # of the sensors of either side
+_MIN_MATCHED = 0.9  # share of the sensors on either side
 _MAX_DIGITS = 9  # longer numbers are serial numbers, not positions on a cable
 
 
@@ -28,21 +28,21 @@ PADS = np.array(
         (-6.51, -3.75), (-6.533, 0.0), (-3.267, 5.66), (0.0, 11.317), (0.0, 7.507), (3.267, 5.66),
     ]
 )  # fmt: skip
-"""Positions of the pads of a triangle, in the order of their channels, in mm from its middle."""
+"""Positions of the pads of a triangle, in channel order, in mm from the centre of the triangle."""
 
 PADS.setflags(write=False)
 TACTILE = tuple(pad for pad in range(_PADS) if pad not in (6, 10))
-"""Pads of a triangle that are sensors; the others measure temperature."""
+"""Pads of a triangle that are tactile sensors; the other two measure temperature."""
 
 
 def channel_name(index: int) -> str:
-    """Return the name of a value of an iCub's port: board, triangle and pad (``b0.t3.k11``)."""
+    """Return the name of a value of an iCub port: board, triangle and pad (``b0.t3.k11``)."""
     triangle, pad = divmod(index, _PADS)
     return f"b{triangle // _TRIANGLES}.t{triangle % _TRIANGLES}.k{pad}"
 
 
 def channel_numbers(names: Sequence[str]) -> tuple[int | None, ...]:
-    """Return the indices in names of the form of `channel_name`; else the numbers at their ends."""
+    """Return the channels of names of the form of `channel_name`; else trailing numbers."""
     found = [_CHANNEL.fullmatch(name) for name in names]
     parts = [tuple(map(int, match.groups())) for match in found if match]
     if len(parts) < len(names):
@@ -57,9 +57,9 @@ def channels_of(names: Sequence[str]) -> NDArray[np.intp] | None:
 
 
 def match_by_number(names: Sequence[str], among: Sequence[str]) -> NDArray[np.intp] | None:
-    """Match names of the form of `channel_name` with others that are numbered from another start.
+    """Match names of the form of `channel_name` with names numbered from a different start.
 
-    Returns indices among the others, -1 for missing ones; None unless a constant difference of the
+    Returns indices in `among`, -1 for missing names; None unless a constant difference of the
     numbers matches nearly all names of both.
     """
     own, others = channels_of(names), channels_of(among)
@@ -67,7 +67,7 @@ def match_by_number(names: Sequence[str], among: Sequence[str]) -> NDArray[np.in
         return None
     starts, counts = np.unique(np.subtract.outer(others, own), return_counts=True)
     best = starts[counts == counts.max()].tolist()
-    # All values of a port, present or not, are numbered as in the names.
+    # All values of a port are numbered as in the names, whether present or not.
     start = 0 if 0 in best else int(best[0])
     enough = counts.max() >= _MIN_MATCHED * min(len(own), len(others))
     if not enough or (start and len(best) > 1):

@@ -1,8 +1,8 @@
-"""Times as people write them: the names of their columns, their units, and clocks of the day.
+"""Formats of times: names of time columns, units, and times of the day.
 
-One rule serves files and objects. A unit in the name of a column counts. Without one, large numbers
-are times since 1970 in s, ms, us or ns. Other numbers are seconds; if seconds would imply more than
-1.5 s per frame, slower than any skin is read, ms is tried, then us, then ns.
+The same rule applies to files and objects. A unit in the name of a column takes precedence. Without
+a unit, large numbers are times since 1970 in s, ms, us or ns. Other numbers are seconds; if seconds
+imply more than 1.5 s per frame, which is slower than any skin is read, ms, us and ns are tried.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _UNIT_WORDS = {
 }
 _PER_SECOND = {word: unit for unit, words in _UNIT_WORDS.items() for word in words.split()}
 NAMING_TIME = _TIME_WORDS - {"t", "ts", "date"}
-"""Words that name a time wherever they stand in a name."""
+"""Words that denote a time at any place in a name."""
 # Units that can be a whole column name; the other units may also name sensors.
 _TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
 # Seconds since 1970 stay below 1e11 until the year 5138; in ms, us and ns they are larger.
@@ -111,16 +111,16 @@ def parse_clock(text: str) -> float | None:
 
 
 def is_date(seconds: float) -> bool:
-    """Return whether a result of `parse_clock` is a date without a time, or with midnight."""
+    """Return whether a result of `parse_clock` is a date without a time, or at midnight."""
     return seconds >= _DAY_S and seconds % _DAY_S == 0
 
 
 @dataclass
 class Continued:
-    """Makes times, given in parts, go on where their clock starts again.
+    """Continues times, given in parts, where the clock restarts.
 
-    per_second: Units of a counter per second: it starts again when its bits or digits are full; 0
-        for a time of the day, after midnight.
+    per_second: Units of a counter per second; a counter restarts when its bits or digits overflow.
+        0 for a time of the day, which restarts at midnight.
     """
 
     per_second: float = 0.0
@@ -143,7 +143,7 @@ class Continued:
         return times + total
 
     def _period(self, before: float, after: float) -> float:
-        """Return what is added where times fall: the size of a counter that was full, or 0."""
+        """Return the increment where times decrease: the size of an overflowed counter, or 0."""
         if not self.per_second:
             return _DAY_S * round((before - after) / _DAY_S)
         near = _NEAR * self._usual
@@ -156,14 +156,14 @@ class Continued:
 
 @dataclass(frozen=True)
 class Clock:
-    """How to read a column of times: units per second, and what is doubtful about it."""
+    """Interpretation of a column of times: units per second, and doubts."""
 
     per_second: float = 1.0
     doubt: str = ""
 
 
 def clock_of(name: str, times: NDArray[np.floating]) -> Clock:
-    """Return how to read times, (T,), by the name of their column, their size and their steps."""
+    """Interpret times, (T,), by the name of the column, their size and their steps."""
     finite = times[np.isfinite(times)]
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else math.nan
@@ -185,9 +185,9 @@ def clock_of(name: str, times: NDArray[np.floating]) -> Clock:
 
 
 def seconds(times: ArrayLike, name: str = "") -> tuple[NDArray[np.float64], str]:
-    """Convert times, (T,), to seconds, with what is doubtful about them.
+    """Convert times, (T,), to seconds, and return doubts about the conversion.
 
-    times: Numbers, ISO 8601 texts, datetimes, or pandas or numpy dates, which count from the first.
+    times: Numbers, ISO 8601 texts, datetimes, or pandas or numpy dates. Dates start at 0.
     """
     values = np.asarray(times)
     if values.dtype.kind in "OUST" and values.ndim == 1 and values.size:

@@ -1,10 +1,10 @@
-"""Columns of a recording: what their names and values say they are.
+"""Kinds of columns of a recording, by names and values.
 
-Units leave names (``T00 [kPa]`` is ``T00``). Taxels with three axes are at least four names that
-are each there with x, y and z, such as ``c0_x``, ``c0.By``, ``Fz_c0``; one quantity of each is a
-sensor, and flags and quantities of all are none. Columns of labels, inertial units, temperatures,
-counters, flags and sums are no sensors, by any word or the unit of their names, unless most columns
-are alike.
+Units are removed from names (``T00 [kPa]`` becomes ``T00``). Taxels with three axes are at least
+four names that each occur with x, y and z, such as ``c0_x``, ``c0.By``, ``Fz_c0``. One quantity of
+each taxel is a sensor; flags and quantities of all taxels are not. Columns of labels, inertial
+units, temperatures, counters, flags and sums are not sensors, by any word or unit in their names,
+unless most columns are alike.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from anisomap.base.clocks import words_of
 
 XYZ = "xyz"
 MIN_TAXELS = 4
-"""Taxels with three axes that there must be at least."""
+"""Minimum number of taxels with three axes."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """How an array holds frames.
+    """Layout of frames in an array.
 
-    time: Its axis of time, the first or the last.
+    time: The axis of time, the first or the last.
     shape: Shape of a frame.
     names: Names of the readings of a frame, in order; empty if a frame is a list.
     """
@@ -47,16 +47,16 @@ class Frames:
 
     @property
     def said(self) -> str:
-        """What to say about an array of more than two axes."""
+        """Message about the layout of an array with more than two axes."""
         size = " x ".join(map(str, self.shape))
         return f"the {'first' if self.time == 0 else 'last'} axis is time, and a frame is {size}"
 
 
 def frames_of(shape: Sequence[int]) -> Frames | None:
-    """Return how an array of some shape holds frames: the longest axis is time; None if unclear.
+    """Return the layout of frames in an array; the longest axis is time; None if it is unclear.
 
-    Arrays of two axes are frames x sensors. Frames of rows and columns have cells named by both; a
-    last axis of 3 is x, y and z.
+    Arrays with two axes are frames x sensors. Cells of frames with two axes are named by row and
+    column. A last axis of length 3 is x, y and z.
     """
     if len(shape) == 2:
         return Frames(0, (shape[1],), ())
@@ -68,7 +68,7 @@ def frames_of(shape: Sequence[int]) -> Frames | None:
 
 
 def names_of_frame(shape: Sequence[int]) -> tuple[str, ...]:
-    """Name the readings of a frame by their indices: ``r2c0``, or ``2.0.1`` of more axes."""
+    """Name the readings of a frame by their indices: ``r2c0``, or ``2.0.1`` with more axes."""
     *cells, last = shape
     if last == len(XYZ) and math.prod(cells) >= MIN_TAXELS:
         inner = names_of_frame(cells) or tuple(f"taxel{i}" for i in range(cells[0]))
@@ -82,14 +82,14 @@ def names_of_frame(shape: Sequence[int]) -> tuple[str, ...]:
 
 
 Axis: TypeAlias = Literal["z", "norm", "x", "y", "all"]
-"""What is read of taxels with three axes: one of them, their length, or each as a sensor."""
+"""Sensors of taxels with three axes: one axis, the length of the vector, or all axes."""
 
 AXES: tuple[Axis, ...] = ("z", "norm", "x", "y", "all")
 _QUANTITY = r"((?:[BFMHbfmh]|(?<![A-Za-z])[DTdt])?)"
 _SUFFIXED = re.compile(rf"(.*?)([ _.\-/\\:\[(]*){_QUANTITY}([xyzXYZ])[\])]?")
 _PREFIXED = re.compile(rf"{_QUANTITY}([xyzXYZ])([ _.\-/\\:\[(]*)(.*?\d.*?)[\])]?")
 _LIKED = "tdhm bf"
-"""First letters of quantities, the one that is read of a taxel with several last."""
+"""First letters of quantities, by increasing precedence if a taxel has several."""
 _NUMBERED = re.compile(r".*?\d")
 _INERTIAL = re.compile(r"acc|gyr|imu|quat|euler|orient|lin", re.IGNORECASE)
 _MAGNETIC = re.compile(r"mag", re.IGNORECASE)
@@ -99,8 +99,8 @@ _MAGNETIC = re.compile(r"mag", re.IGNORECASE)
 class Taxels:
     """Taxels with three axes among N columns.
 
-    columns: For each name, those of x, y and z.
-    others: Columns that are no sensors beside them, and what they are.
+    columns: Columns of x, y and z for each name.
+    others: Other columns that are not sensors, with their kinds.
     """
 
     columns: dict[str, tuple[int, int, int]]
@@ -109,7 +109,7 @@ class Taxels:
     def kept(
         self, names: Sequence[str], left_out: Collection[int], axis: str = "z"
     ) -> tuple[list[int], tuple[str, ...]]:
-        """Return an axis of each taxel, then the columns that are no taxels, and their names."""
+        """Return one axis of each taxel, then columns that do not belong to taxels, and names."""
         used = {*left_out, *itertools.chain.from_iterable(self.columns.values())}
         rest = [i for i in range(len(names)) if i not in used]
         of_axis = [places[XYZ.index(axis)] for places in self.columns.values()]
@@ -117,13 +117,13 @@ class Taxels:
 
 
 _Key: TypeAlias = tuple[str, str, str]
-"""Stem of the name of a taxel, the mark after it, and the letter of a quantity."""
+"""Stem of the name of a taxel, separator, and letter of a quantity."""
 
 
 def find_taxels(names: Sequence[str], known: Collection[int] = ()) -> Taxels | None:
     """Find taxels with three axes by the names of their columns; None if there are fewer than 4.
 
-    known: Columns that are no sensors.
+    known: Columns that are not sensors.
     """
     names = [name.strip() for name in names]
     for pattern in (_SUFFIXED, _PREFIXED):
@@ -147,7 +147,7 @@ def find_taxels(names: Sequence[str], known: Collection[int] = ()) -> Taxels | N
             whole = numbered
         counts = Counter(key[1:] for key in whole)
         whole.sort(key=lambda key: (counts[key[1:]], _LIKED.index(key[2].lower() or " ")))
-        chosen = {key[0]: key for key in whole}  # the last is liked best
+        chosen = {key[0]: key for key in whole}  # the last has precedence
         if len(chosen) >= MIN_TAXELS:
             digits = all(map(str.isdigit, chosen))
             columns = {
@@ -166,7 +166,7 @@ def _beside(
     chosen: Mapping[str, _Key],
     numbered: bool,
 ) -> dict[int, str]:
-    """Find columns beside taxels: other quantities and flags of them, and quantities of all."""
+    """Find columns other than taxels: further quantities and flags of taxels, and totals."""
     others = dict[int, str]()
     used = known | {i for key in chosen.values() for i in found[key].values()}
     kinds = {key[1:] for key in chosen.values()}
@@ -189,7 +189,7 @@ def _beside(
 
 
 def _stem_of(name: str, stems: Collection[str]) -> str:
-    """Return the stem of a taxel that a name begins with, before its rest; empty without one."""
+    """Return the stem of a taxel at the beginning of a name; empty if there is none."""
     ends = [match.end() for match in re.finditer(r"\d(?!\d)", name)]
     return next((name[:end] for end in reversed(ends) if name[:end] in stems), "")
 
@@ -203,7 +203,7 @@ _UNITS = re.compile(
 
 
 def without_units(names: Sequence[str]) -> tuple[str, ...]:
-    """Return names without units in brackets, unless they tell columns apart."""
+    """Return names without units in brackets, unless units distinguish columns."""
     matches = [_UNIT.fullmatch(name) for name in names]
     short = [
         match[1] if match and _UNITS.fullmatch(match[2].strip()) else name
@@ -244,7 +244,7 @@ _MIN_LABELS = 500  # rows: in fewer, a sensor may not have been touched
 
 
 def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, str]:
-    """Find columns that are no sensors, and what they are: by name, or by their values.
+    """Find columns that are not sensors, and their kinds, by names or by values.
 
     table (t, n_columns): First rows. Names are empty if there is no header.
     """
@@ -267,7 +267,7 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
 
 
 def _what_is_named(name: str) -> str:
-    """Return the quantity that a name denotes by its words or unit; empty for a sensor."""
+    """Return the quantity denoted by the words or the unit of a name; empty for a sensor."""
     plain, words = re.sub(r"[\s_]+", " ", name.lower()), words_of(name)
     phrases = (what for what, pattern in _PHRASES.items() if pattern.search(plain))
     motion = ("an inertial unit" for word in words if _MOTION.fullmatch(word))
@@ -277,7 +277,7 @@ def _what_is_named(name: str) -> str:
 def _by_values(
     names: Sequence[str], table: NDArray[np.floating], known: dict[int, str], odd: Collection[int]
 ) -> dict[int, str]:
-    """Find sums of all others, and columns of an odd name that are counters or few levels."""
+    """Find sums of all others, and columns with odd names that are counters or have few levels."""
     rest = [i for i in range(table.shape[1]) if i not in known]
     values = table[:, rest].astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
@@ -310,7 +310,7 @@ def _by_values(
 
 
 def _count_sizes(values: NDArray[np.float64]) -> int:
-    """Count first columns that say how many follow, as lists of ROS and YARP begin with them."""
+    """Count first columns that contain the number of following ones, as in ROS and YARP lists."""
     head = values[:, :_MAX_HEAD]
     constant = int(np.cumprod((head == head[:1]).all(axis=0)).sum())
     n_after = values.shape[1] - 1 - np.arange(constant)
@@ -319,7 +319,7 @@ def _count_sizes(values: NDArray[np.float64]) -> int:
 
 
 def odd_names(names: Sequence[str]) -> list[int]:
-    """Return the names that are unlike most, by index, if most are numbered alike."""
+    """Return indices of names that differ from most names, if most are numbered alike."""
     forms = [re.sub(r"\d+", "#", name) for name in names]
     usual, count = Counter(forms).most_common(1)[0] if forms else ("", 0)
     few = "#" not in usual or count <= _MAX_SHARE * len(forms)
@@ -327,7 +327,7 @@ def odd_names(names: Sequence[str]) -> list[int]:
 
 
 def _what_counts(values: NDArray[Any]) -> str:
-    """Return whether a column without a name counts, or is a time: it rises in even steps."""
+    """Return the kind of an unnamed column that rises in even steps: a counter or a time."""
     if _kind(values) == COUNTER:
         return COUNTER
     steps = np.diff(values)
@@ -336,7 +336,7 @@ def _what_counts(values: NDArray[Any]) -> str:
 
 
 def _kind(values: NDArray[Any]) -> str:
-    """Return the kind of a column of whole numbers: a counter or a label, else empty."""
+    """Return the kind of a column of whole numbers: a counter or a label; otherwise empty."""
     if not (values == np.floor(values)).all():
         return ""
     steps, levels = np.diff(values), np.unique(values)

@@ -1,7 +1,7 @@
 """Immutable values: frozen dataclasses whose arrays and mappings are read-only.
 
-Comparisons that dataclasses generate depend on the version of Python where a field is NaN. `Value`
-compares alike on each.
+If a field is NaN, generated comparisons of dataclasses depend on the version of Python.
+Comparisons of `Value` do not.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Immutable:
         self.set_fields()
 
     def set_fields(self, **values: object) -> None:
-        """Set checked values of fields, before anyone sees them; the others are made read-only."""
+        """Set checked values of fields during initialisation, and make other fields read-only."""
         for name, value in (
             {one.name: getattr(self, one.name) for one in fields(self)} | values
         ).items():
@@ -38,7 +38,7 @@ class Immutable:
             object.__setattr__(self, name, fixed)
 
     def __reduce__(self) -> tuple[Callable[..., Self], tuple[type[Self], dict[str, object]]]:
-        # A mappingproxy cannot be pickled, and cached properties need not be.
+        # A mappingproxy cannot be pickled; cached properties can be computed again.
         own = {one.name: getattr(self, one.name) for one in fields(self)}
         plain = {k: dict(v) if isinstance(v, Mapping) else v for k, v in own.items()}
         return _rebuilt, (type(self), plain)
@@ -46,7 +46,7 @@ class Immutable:
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """A frozen dataclass that equals another if all fields do, where NaN equals NaN."""
+    """A frozen dataclass; two are equal if all fields are equal, where NaN equals NaN."""
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Value) or type(other) is not type(self):

@@ -10,11 +10,11 @@ _CUT = " ... "
 
 
 UNKNOWN = "-"
-"""Stands for a number that is not known."""
+"""Placeholder for an unknown number."""
 
 
 def number(value: float | None, digits: int = 4, unit: str = "") -> str:
-    """Format a number with some significant digits; `UNKNOWN` if it is not known or infinite."""
+    """Format a number with `digits` significant digits; `UNKNOWN` if it is unknown or infinite."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
     rounded = float(f"{value:.{digits}g}")
@@ -38,10 +38,10 @@ def join_items(items: Sequence[object], max_items: int = 8) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Escape characters that a terminal would act on or cannot show, such as ``\x1b``.
+    r"""Escape characters that a terminal interprets or cannot display, such as ``\x1b``.
 
-    These are control characters, line ends, characters that reverse or hide text, unassigned ones
-    and lone surrogates, which also stand for the bytes of file names that are not UTF-8.
+    These are control characters, line ends, characters that reverse or hide text, unassigned
+    characters, and lone surrogates, which also represent non-UTF-8 bytes of file names.
     """
     if text.isprintable():
         return text
@@ -54,12 +54,12 @@ def printable(text: str) -> str:
 
 
 def as_text(file_name: str) -> str:
-    """Escape the bytes of a file name that are not UTF-8, which no format of text can hold."""
+    """Escape the non-UTF-8 bytes of a file name, which text formats cannot represent."""
     return file_name.encode("utf-8", "backslashreplace").decode()
 
 
 def shortened(text: str, max_characters: int) -> str:
-    """Cut the middle out of a long text, so that its beginning and end remain."""
+    """Remove the middle of a long text, and keep its beginning and end."""
     if len(text) <= max_characters:
         return text
     n_last = max_characters // 3
