@@ -1,4 +1,4 @@
-"""A recording: the readings of all sensors of a skin, frame by frame. Immutable."""
+"""A recording: the readings of all sensors of a skin in all frames. Immutable."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ Scalar: TypeAlias = str | int | float | bool
 """Values of metadata and provenance: types that every file format can store."""
 
 MAX_READING = 1e30
-"""Largest magnitude of a reading that is not missing: sums of readings are finite in float32, and
-those of squares in float64."""
+"""Maximum magnitude of a reading; greater readings are missing. Sums of readings are then finite in
+float32, and sums of squares in float64."""
 
 MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
-"""How to handle missing readings: see `Recording.complete`."""
+"""Handling of missing readings: see `Recording.complete`."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -42,10 +42,10 @@ class Recording(Immutable):
     readings : array_like of shape (T, N)
         One row per frame, one column per sensor. Real numbers; NaN and infinities mark missing
         readings (see `complete`). Stored as float32 if that is lossless, else as float64. Frames
-        may be matrices: the longest axis is time. Objects of pandas, xarray and mne give names and
-        times, too.
+        may be matrices: the longest axis is time. Objects of pandas, xarray and mne also provide
+        names and times.
     names : sequence of str, optional
-        Unique names, one per sensor; by default those of the object, or ``s0, s1, ...``.
+        Unique names, one per sensor; by default the names in the object, or ``s0, s1, ...``.
     times : array_like of shape (T,), optional
         Seconds, or dates with a time; strictly increasing.
     rate_hz : float, optional
@@ -62,7 +62,7 @@ class Recording(Immutable):
     source : str
         Origin of the recording: a file name, a simulation.
     metadata : mapping of str to str, int, float or bool
-        Licence, scenario, seed and the like.
+        Facts such as licence, scenario and seed.
     starts : tuple of int
         First frames of all joined recordings but the first, if some recordings lack sensors (whose
         readings are then NaN): see `join_runs`.
@@ -138,9 +138,9 @@ class Recording(Immutable):
         Parameters
         ----------
         times : array_like of shape (E,)
-            When each event took place, in seconds.
+            Time of each event, in seconds.
         sensors : array_like of shape (E,)
-            The sensor that was active: a name, or an index.
+            Name or index of the active sensor of each event.
         bin_width : float, optional
             Width in seconds of the bins in which events are counted, from the first event on. By
             default, events at the same time form a frame, in which active sensors read 1.
@@ -179,7 +179,7 @@ class Recording(Immutable):
 
     @property
     def touched(self) -> bool:
-        """Whether sensors are touched; electrodes, whose potentials MNE reads, are not."""
+        """Whether sensors are touched; electrodes of recordings read by MNE are not."""
         return self.metadata.get("format") != "mne"
 
     @property
@@ -217,13 +217,13 @@ class Recording(Immutable):
 
     @cached_property
     def parts(self) -> tuple[Recording, ...]:
-        """The recordings that it was joined from, if some lack sensors; otherwise itself."""
+        """The joined recordings, if some of them lack sensors; otherwise this recording alone."""
         if not self.starts:
             return (self,)
         runs = np.split(self.readings, self.starts)
         known = np.stack([np.isfinite(run).any(axis=0) for run in runs])
         known |= ~known.any(axis=0)
-        if known[known.any(axis=1)].all():  # those that lack sensors lack all that were selected
+        if known[known.any(axis=1)].all():  # runs lack all or none of the selected sensors
             whole = np.repeat(known.any(axis=1), [len(run) for run in runs])
             return (replace(self, readings=self.readings[whole], starts=()),)
         return tuple(
@@ -238,7 +238,7 @@ class Recording(Immutable):
         Returns
         -------
         ndarray of bool, shape (N,)
-            False for sensors with equal finite readings, or without any.
+            False for sensors without finite readings, or whose finite readings are equal.
         """
         lowest, highest = self.extremes
         known = np.isfinite(lowest) & np.isfinite(highest)
@@ -302,7 +302,7 @@ class Recording(Immutable):
         Returns
         -------
         Recording
-            All frames of those sensors; this recording itself if these are all, in order.
+            All frames of the selected sensors; this recording itself if all are selected in order.
         """
         every = np.arange(self.n_sensors)
         chosen = every[np.asarray(sensors)]
@@ -325,20 +325,20 @@ class Recording(Immutable):
         ----------
         missing : {"error", "drop-frames", "interpolate"}
             Raise; remove every frame with a missing reading; or interpolate each sensor linearly
-            in time (its ends with the nearest reading). A sensor without any finite reading
-            becomes constant zero, which is assessed as silent.
+            in time (at the ends, by the nearest reading). Readings of a sensor without any finite
+            reading become zero, so that it is assessed as silent.
 
         Returns
         -------
         Recording
             All readings are finite, and at most `MAX_READING` in magnitude; this recording itself
-            if they already were.
+            if nothing is missing.
 
         Raises
         ------
         InputError
-            Under "error" if a reading is missing, naming sensors and frames; under "drop-frames"
-            if no frame would be left.
+            With "error", if a reading is missing; the message names sensors and frames. With
+            "drop-frames", if no frame would be left.
         """
         if (np.abs(self.extremes).astype(np.float64) <= MAX_READING).all():
             return self
@@ -386,7 +386,7 @@ def _check_facts(texts: Mapping[str, object], metadata: Mapping[str, object]) ->
             )
 
 
-_MAX_RATE_RATIO = 1.02  # of runs that are taken to have one frame rate; chosen by hand
+_MAX_RATE_RATIO = 1.02  # of runs that count as having equal frame rates; chosen by hand
 
 
 def join_runs(
@@ -399,7 +399,7 @@ def join_runs(
     recording : Recording, array_like of shape (T, N), or sequence of Recording
         Order and number of sensors may differ between recordings.
     missing : {"error", "drop-frames", "interpolate"}, optional
-        How missing readings are handled before joining: see `Recording.complete`.
+        Handling of missing readings before joining: see `Recording.complete`.
 
     Returns
     -------
@@ -457,7 +457,7 @@ def join_runs(
 
 
 def _level(runs: Sequence[Recording]) -> list[Recording]:
-    """Shift recordings of one skin that rest at other levels than the first one to its level."""
+    """Shift recordings of one skin to the level at rest of the first recording."""
     _check_matching(runs)
     runs = [run.levelled for run in runs]
     number: dict[str, int] = {}

@@ -22,18 +22,18 @@ LEVEL = 0.01
 MIN_COMPARED = 8
 """Minimum number of sensors of two components that are aligned.
 
-The scale and the tail of chance displacements are estimated from the median and a quartile.
+The median and a quartile of displacements give the scale and the tail of chance displacements.
 """
 
 # Tuned on maps of halves of the iCub hexagon and palm and of rubbed planes, cylinders and spheres.
 _NEIGHBOURS = 12
 _MIN_REFERENCES = 3  # the median of fewer neighbours is not robust
-_PASSES = 3  # the set of sensors that serve as references settles after two
+_PASSES = 3  # the set of reference sensors is stable after two
 _UPPER_QUARTILE = float(ndtri(0.75))
-# Rayleigh's distribution, of the length of a normal vector in the plane, has this spread of its
-# logarithm between the median and the upper quartile. A smaller estimate comes from few sensors.
+# Logarithmic spread between the median and the upper quartile of Rayleigh's distribution, i.e. of
+# the length of a normal vector in the plane. Estimates from few sensors may be smaller.
 _MIN_SPREAD: float = 0.5 * np.log(np.log(4) / np.log(2)) / _UPPER_QUARTILE
-_ROUNDING = 2e-4  # of the spacing: files state coordinates of equal maps about as exactly
+_ROUNDING = 2e-4  # of coordinates in files, relative to the spacing
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Difference(Immutable):
     units : str
         Units of the first map.
     notes : tuple of str
-        Sensors that were not compared, and why.
+        Sensors that were not compared, and the reasons.
     """
 
     names: tuple[str, ...]
@@ -156,7 +156,7 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
 def _shared_components(
     component: NDArray[np.intp], placed: NDArray[np.bool_]
 ) -> list[NDArray[np.intp]]:
-    """List the sensors of each pair of components that share enough, the largest first."""
+    """List the sensors of each pair of components that share enough sensors, the largest first."""
     both = np.flatnonzero(placed)
     labels, inverse = np.unique(component[:, both], axis=1, return_inverse=True)
     groups = [both[inverse.ravel() == i] for i in range(labels.shape[1])]
@@ -166,10 +166,10 @@ def _shared_components(
 def _moves(
     before: NDArray[np.float64], after: NDArray[np.float64], level: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
-    """Test displacements as they are, and relative to neighbours in the same distortion.
+    """Test displacements, and displacements relative to neighbours with the same distortion.
 
-    The former show patches that moved as a whole, the latter single sensors. Returns displacements
-    relative to neighbours, which sensors moved, and the smallest move that is told from chance.
+    The first test detects patches that moved as a whole, the second single sensors. Returns
+    relative displacements, whether sensors moved, and the smallest detectable move.
     """
     displacement = after - before
     near = nearest_others(before, _NEIGHBOURS)[1]
@@ -188,9 +188,9 @@ def _moves(
 
 
 def _limit(lengths: NDArray[np.float64], p_value: float, rounding: float) -> float:
-    """Return the length that chance exceeds with a probability: log-normal, lengths (N,).
+    """Return the length that log-normal chance exceeds with a probability. lengths (N,).
 
-    Few sensors that moved do not change the median and the upper quartile.
+    A few moved sensors hardly change the median and the upper quartile.
     """
     middle, upper = np.maximum(np.quantile(lengths, [0.5, 0.75]), rounding)
     spread = max(float(np.log(upper / middle)) / _UPPER_QUARTILE, _MIN_SPREAD)

@@ -16,12 +16,12 @@ from anisomap.numerics.compiled.parallel import limited_blas
 from anisomap.sensor_map import SensorMap
 
 NULL_QUANTILES = (0.0, 0.25, 0.5, 0.75, 0.95, 1.0)
-"""Levels of the quantiles by which a null distribution is summarised."""
+"""Levels of the quantiles in summaries of a null distribution."""
 
 _NULL_ROUNDING = 1e-5  # of sums of float32 products
 
 MIN_SENSORS_COMPARED = 4
-"""Minimum number of sensors: three would give a correlation over three distances only."""
+"""Minimum number of sensors: three sensors have only three distances to correlate."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,7 +48,7 @@ class Mantel(Immutable):
 
     @property
     def p_value(self) -> float:
-        """Share of permutations with at least this r, the identity included; NaN without a null.
+        """Share of permutations, including the identity, with at least this r; NaN without a null.
 
         Values of r that differ only by rounding count as equal.
         """
@@ -59,7 +59,7 @@ class Mantel(Immutable):
         )
 
     def quantiles(self) -> dict[float, float]:
-        """Return minimum, quartiles, 95 % quantile and maximum of the null; empty without one."""
+        """Return minimum, quartiles, 95 % quantile and maximum of the null; {} without a null."""
         if not self.null.size:
             return {}
         return dict(
@@ -97,12 +97,12 @@ def mantel(
     ------
     InputError
         If the sizes differ, fewer than 4 sensors are compared, a distance is not finite, or all
-        distances of one side are equal.
+        distances in one of the matrices are equal.
 
     Notes
     -----
     McGregor et al. (2011), section "Results"; Mantel (1967), Cancer Research 27: 209-220. Sensors
-    are relabelled, not pairs: the distances of one configuration constrain each other.
+    are permuted instead of pairs, since the distances of a configuration constrain each other.
     """
     one, other = _distances(first), _distances(second)
     if not (np.isfinite(one).all() and np.isfinite(other).all()):
@@ -146,7 +146,7 @@ def _between(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _standardised(distances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centre and scale the pairs so that half the inner product of two matrices is Pearson's r."""
+    """Centre and scale the pairs: half the inner product of two such matrices is Pearson's r."""
     pairs = squareform(distances, checks=False)
     centred = pairs - pairs.mean()
     norm = np.linalg.norm(centred)

@@ -130,7 +130,7 @@ Files store positions as float32 or with four to six digits, so that equal dista
 differ by up to about 1e-4; the errors of maps are far larger.
 """
 
-_SHELLS = 16  # neighbours that are looked for around a tie, per neighbour asked for
+_SHELLS = 16  # neighbours searched around a tie, per neighbour requested
 
 
 def median_spacing(positions: ArrayLike) -> float:
@@ -181,14 +181,14 @@ def neighbour_agreement(
     Returns
     -------
     float
-        In [0, 1]; about ``n_neighbours / (N - 1)`` by chance, and more by the share of ties.
+        In [0, 1]; about ``n_neighbours / (N - 1)`` by chance, and more with ties.
 
     Notes
     -----
     Distances that differ by less than 0.1 % are ties. In the truth, all sensors tied with the last
     neighbour count as neighbours. On the map, the sensors tied with the last neighbour share the
-    remaining places equally, so that a map on which sensors coincide gains nothing. Ties are
-    looked for among the ``16 * n_neighbours`` nearest sensors.
+    remaining places equally, so that coincident sensors on a map are no advantage. Ties are
+    searched for among the ``16 * n_neighbours`` nearest sensors.
     """
     x, y = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     count = min(n_neighbours, len(x) - 1)
@@ -205,7 +205,7 @@ def neighbour_agreement(
 def _share(
     distances: NDArray[np.float64], right: NDArray[np.bool_], count: int
 ) -> NDArray[np.float64]:
-    """Share of true neighbours among the `count` nearest of each row, in any order of its ties."""
+    """Share of true neighbours among the `count` nearest of each row; mean over orders of ties."""
     last = distances[:, count - 1, None]
     certain, within = distances < (1 - TIE) * last, distances <= (1 + TIE) * last
     tied = within & ~certain
@@ -301,9 +301,9 @@ class Score:
 
     @property
     def exchanged(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of indices of sensors that have each other's places, as if wires were exchanged.
+        """Pairs of indices of sensors that occupy each other's places, as if wires were exchanged.
 
-        Both errors exceed a spacing, and would be below it if the two were exchanged.
+        Both errors exceed a spacing; if the two sensors were exchanged, both would be below it.
         """
         far = np.flatnonzero(self.alignment.errors > self.spacing)
         if len(far) < 2:
@@ -345,7 +345,7 @@ def score(
         Units of the truth, if it is an array.
     permutations, rng, progress
         See `mantel`. For more than 4000 sensors, Mantel r and its null use a random sample of
-        2000, with a note; all other figures use all sensors.
+        2000, with a note; all other results use all sensors.
 
     Returns
     -------
@@ -428,7 +428,7 @@ def score(
 
 
 def _unit_in(unit: str, other: str) -> float:
-    """Return the length of a unit in another; NaN if one of them is unknown."""
+    """Return the length of a unit in another unit; NaN if either is unknown."""
     if unit in METRES and other in METRES:
         return METRES[unit] / METRES[other]
     return 1.0 if unit not in UNSCALED and unit == other else math.nan
@@ -437,7 +437,7 @@ def _unit_in(unit: str, other: str) -> float:
 def _compared(
     sensor_map: SensorMap, known: NDArray[np.bool_], included: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Return the sensors that can be compared, and notes on the others."""
+    """Return the sensors that can be compared, and notes on all other sensors."""
     largest = sensor_map.component == 0
     reasons = {
         "no position on the map": ~sensor_map.placed,

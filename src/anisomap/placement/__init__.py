@@ -1,7 +1,7 @@
-"""Scale, handedness, pose and surface normals of a map, as robot software needs them.
+"""Scale, handedness, pose and surface normals of a map, as required by robot software.
 
-A map is known up to rotation, translation, scale and mirror image. Known positions of some sensors,
-known rigid modules, and the distance between neighbouring sensors determine the rest.
+A map is known up to rotation, translation, scale and mirror image. These are determined by known
+positions of some sensors, known rigid modules, or the distance between neighbouring sensors.
 """
 
 import lazy_loader

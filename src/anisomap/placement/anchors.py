@@ -1,4 +1,4 @@
-"""Anchors, sensors with a known position, and the transform of a map to their frame."""
+"""Anchors (sensors with a known position), and transforms of maps to the frame of the anchors."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from anisomap.placement.handedness import (
 )
 from anisomap.sensor_map import SensorMap, check_coordinates
 
-# Anchors that are suggested; tuned on real recordings, rubbed planes and cylinders.
-_RING = 12  # neighbours that tell whether a sensor is inside
-_SHARE_INSIDE = 0.5  # of the sensors
+# Suggestion of anchors; tuned on real recordings, rubbed planes and cylinders.
+_RING = 12  # neighbours that determine whether a sensor is inside
+_SHARE_INSIDE = 0.5  # share of the sensors that count as inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
 
 
 def anchors_at(given: Sequence[tuple[str, Sequence[float]]]) -> Anchors:
-    """Make anchors of names with positions; those in two dimensions lie in the plane z = 0."""
+    """Make anchors from names and positions; positions in two dimensions have z = 0."""
     width = max(len(position) for _, position in given)
     rows = [(*position, *(0.0,) * (width - len(position))) for _, position in given]
     return Anchors(tuple(name for name, _ in given), np.array(rows))
@@ -115,7 +115,7 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
     ----------
     layout : SensorMap
     units : str
-        Unit of the layout, if it states none.
+        Unit of the layout, if the layout has none.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
 
 
 def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
-    """Choose sensors worth measuring: far apart, and inside the skin, where maps are accurate.
+    """Choose sensors to measure: far apart, and inside the skin, where maps are accurate.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
             continue
         distances, near = nearest_others(positions, _RING)
         centres = positions[near].mean(axis=1)
-        # Neighbours of a sensor at the edge are on one side of it.
+        # The neighbours of a sensor at the edge are on one side.
         lopsided = np.linalg.norm(centres - positions, axis=1) / distances.mean(axis=1)
         inside = np.flatnonzero(lopsided <= np.quantile(lopsided, _SHARE_INSIDE))
         middle = positions[inside].mean(axis=0)
@@ -167,20 +167,20 @@ def suggest_anchors(sensor_map: SensorMap, count: int = 4) -> tuple[str, ...]:
 
 
 MIN_LEFT_OUT = 5
-"""Number of anchors from which each is left out in turn to measure the error."""
+"""Minimum number of anchors for leave-one-out estimates of the error."""
 
 COVERAGE = 0.9
 """Probability that a sensor is within its stated error."""
 
-# Distortion of maps as a smooth field: its reach in sizes of the map, and the variance of the rest
-# relative to it. Tuned on the iCub hexagon, the plantar recording and rubbed planes; with less
-# noise, independent errors would be stated too small.
+# Distortion of maps as a smooth field: reach in sizes of the map, and relative variance of
+# independent errors. Tuned on the iCub hexagon, the plantar recording and rubbed planes; with less
+# noise, independent errors would be underestimated.
 _REACH, _NOISE = 1.0, 1.0
-# Other fields that are tried with many anchors, likewise.
+# Reaches and variances of further fields, tried with many anchors.
 _REACHES, _NOISES = (0.25, 0.5, 1.0), (0.1, 0.3, 1.0)
 _MIN_REACH = 3.0  # spacings; a field that changes faster would change the spacing
 _MIN_LENGTH = 1e-50  # metres; fourth powers are within the range of float64
-_MAX_FOLDS, _MANY, _FEW_FOLDS = 50, 200, 10  # groups left out in turn; fewer of many anchors
+_MAX_FOLDS, _MANY, _FEW_FOLDS = 50, 200, 10  # groups left out in turn; fewer with many anchors
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,11 +190,11 @@ class AnchorFit:
     positions (N, k): In metres.
     errors (N,): Radius with probability `COVERAGE`, in metres.
     residuals (n,): Distances of the anchors from their places on the map, in metres.
-    left_out (n,): The same with a fit to the other anchors; NaN with fewer than `MIN_LEFT_OUT`.
+    left_out (n,): Residuals under fits to all other anchors; NaN with fewer than `MIN_LEFT_OUT`.
     warped: Whether a field of corrections was chosen by leaving anchors out.
     reflected: Whether the map was a mirror image.
-    handed: Whether the handedness is known. If not, the skin is flat, and its positions do not
-        depend on it.
+    handed: Whether the handedness is known. If it is not, the skin is flat, and positions do not
+        depend on the handedness.
     """
 
     positions: NDArray[np.float64]
@@ -209,7 +209,7 @@ class AnchorFit:
 def fit_anchors(tied: Tied, known: Known) -> AnchorFit:
     """Transform a map to the frame of its anchors, by a similarity and a smooth field.
 
-    With `MIN_LEFT_OUT` anchors or more, the field may be one that predicts left out anchors better.
+    With `MIN_LEFT_OUT` anchors or more, the field that best predicts left out anchors may be used.
     """
     x, y = tied.anchors, tied.targets
     _check_spread(x, known.spacing)
@@ -266,9 +266,9 @@ def _check_spread(anchors: Points, spacing: float) -> None:
 def _choose_kernel(
     x: Points, y: Points, known: Known, reflected: bool, kernels: list[Kernel]
 ) -> tuple[Kernel, Points, NDArray[np.float64]]:
-    """Choose a field of corrections that predicts anchors left out better than the first field.
+    """Choose a field of corrections that predicts left out anchors better than the first field.
 
-    That is, by more than the standard error. Returns kernel, predictions (n, k), relative (n,).
+    The gain must exceed its standard error. Returns kernel, predictions (n, k), relative (n,).
     """
     n = len(x)
     predictions = np.empty((len(kernels), *y.shape))

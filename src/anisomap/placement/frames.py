@@ -82,16 +82,16 @@ def _stretched(sensor_map: SensorMap, factors: NDArray[np.float64]) -> SensorMap
 
 
 def in_millimetres(sensor_map: SensorMap) -> SensorMap:
-    """Convert a map with a unit of length to millimetres, in which lengths are shown."""
+    """Convert a map with a unit of length to millimetres, for display."""
     if sensor_map.units not in METRES:
         return sensor_map
     return rescaled(sensor_map, METRES[sensor_map.units] / METRES["mm"], "mm")
 
 
 def length_shown(units: str, unscaled: str) -> tuple[str, float]:
-    """Return the unit in which lengths are shown, and the factor to it: mm where that is possible.
+    """Return the unit for display, and the conversion factor: mm if the unit of the map is known.
 
-    unscaled: What is shown in place of a unit that is arbitrary or unknown.
+    unscaled: Text for a unit that is arbitrary or unknown.
     """
     if units not in METRES:
         return (unscaled if units in UNSCALED else units), 1.0
@@ -99,7 +99,7 @@ def length_shown(units: str, unscaled: str) -> tuple[str, float]:
 
 
 def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> SensorMap:
-    """Scale a map so that neighbouring sensors have a given spacing.
+    """Scale a map to a given spacing of neighbouring sensors.
 
     Parameters
     ----------
@@ -112,8 +112,8 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
     Returns
     -------
     SensorMap
-        The map in `units`, with the scale factor in its provenance. An error of the map in the
-        nearest-neighbour distances becomes an error of the scale.
+        The map in `units`, with the scale factor in its provenance. Errors of nearest-neighbour
+        distances on the map cause an error of the scale.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
         raise InputError("the map is in the frame of the robot, so it must not be scaled")
     factor = spacing / median_spacing(sensor_map)
     largest = float(np.nanmax(np.abs(sensor_map.positions))) * factor
-    # Distances are computed from squares, which must neither underflow nor overflow.
+    # Squares in the computation of distances must neither underflow nor overflow.
     if not (spacing > _MIN_LENGTH and factor > 0 and largest < MAX_COORDINATE):
         raise InputError(
             f"a spacing of {spacing:g} {units} takes the positions out of the range of "
@@ -166,7 +166,7 @@ def mirrored(sensor_map: SensorMap) -> SensorMap:
 def surface_normals(sensor_map: SensorMap) -> NDArray[np.float64]:
     """Return the surface normal at each sensor.
 
-    Normals that the map lacks are estimated, separately for each connected component.
+    Missing normals are estimated, separately for each connected component.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class Taxels:
     frame: Name of the right-handed reference frame.
     indices: Indices of the sensors in the map.
     positions (n, 3): In metres.
-    normals (n, 3): Outward unit normals: those of the map, or estimated from the positions.
+    normals (n, 3): Outward unit normals, from the map or estimated from the positions.
     """
 
     frame: str
@@ -232,7 +232,7 @@ class Taxels:
     def roll_pitch_yaw(self) -> NDArray[np.float64]:
         """Rotations about the fixed x, y and z axes in radians, shape (n, 3)."""
         with warnings.catch_warnings():
-            # If the normal is along x, only the sum of two angles is determined; any pair is valid.
+            # If the normal is along x, only the sum of two angles is determined.
             warnings.filterwarnings("ignore", message="Gimbal lock")
             return np.asarray(self.rotations.as_euler("xyz"))
 

@@ -1,4 +1,4 @@
-"""Whether anchors belong to a map or its mirror image, by the fields of errors of both."""
+"""Handedness of a map: anchors are fitted to the map and to the mirror image, with error fields."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from anisomap.sensor_map import SensorMap
 PRIOR_FREEDOM = 4.0
 """Degrees of freedom of the prior of the variance of a map (a scaled inverse chi-squared).
 
-The logarithm of the errors of even maps then has a standard deviation of .40, against .46 measured.
+The standard deviation of the logarithm of errors of even maps is then .40; measured: .46.
 """
 
-# RMS error of a coordinate relative to the size of a map, the root of the summed variance of its
-# coordinates: medians over 62 maps that are not marked as distorted (`SensorMap.distorted`), of the
-# iCub and of simulated bodies, and over four that are, of feet and of Nao.
+# RMS error of a coordinate relative to the size of a map, i.e. the root of the summed variance of
+# the coordinates. Medians over 62 maps without `SensorMap.distorted`, of the iCub and of simulated
+# bodies, and over four distorted maps, of feet and of Nao.
 ERROR_EVEN, ERROR_UNEVEN = 0.06, 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Tied:
-    """A map with anchors: positions (N, k), rows of the anchors (n,), and their places (n, k)."""
+    """A map with anchors: positions (N, k), anchor sensors (n,), and anchor positions (n, k)."""
 
     positions: Points
     sensors: NDArray[np.intp]
@@ -52,14 +52,14 @@ class Tied:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a map before anchors are used.
+    """Prior knowledge of a map, before anchors are used.
 
     spacing: Distance between neighbouring sensors on the map.
     size: Root of the summed variance of the coordinates of the map.
     uneven: Whether the map is known to be distorted: `SensorMap.distorted`.
     scale_sigma: Standard deviation of the logarithm of the scale; inf if the scale is unknown.
     evidence: Log likelihood ratio of the handedness of the map against its mirror image.
-    handedness: Whether the map is a mirror image, if the user states it.
+    handedness: Whether the map is a mirror image, if the user specified it.
     """
 
     spacing: float
@@ -89,7 +89,7 @@ class Known:
 
 
 def fit_scaled(x: Points, y: Points, known: Known, reflected: bool) -> Similarity:
-    """Fit a similarity of given handedness; its scale is weighted with what is known of it."""
+    """Fit a similarity of given handedness, with the prior of the scale."""
     free = fit_similarity(x, y, reflection=reflected)
     if not np.isfinite(known.scale_sigma):
         return free
@@ -101,7 +101,7 @@ def fit_scaled(x: Points, y: Points, known: Known, reflected: bool) -> Similarit
 
 
 def field_kernel(placed: Points, reach: float, noise: float) -> Kernel:
-    """Return the covariance of a field of which the reach is given in sizes of a placed map."""
+    """Return the covariance of a field; reach in sizes of a placed map."""
     return Kernel(max(reach * extent(placed), float(np.finfo(float).tiny)), noise)
 
 
@@ -109,7 +109,7 @@ class Kriged(NamedTuple):
     """Predicted positions.
 
     positions (m, k): In the frame of the anchors.
-    relative (m,): Variances of a coordinate relative to that of the map.
+    relative (m,): Variances of a coordinate relative to the variance of the map.
     squares: Weighted sum of squares of the residuals of the anchors; its expectation is the
         variance of the map times the degrees of freedom.
     """
@@ -129,7 +129,7 @@ def krige(
     kernel: Kernel,
     validated: bool = False,
 ) -> Kriged:
-    """Predict positions by universal kriging, with small changes of a similarity as the drift.
+    """Predict positions by universal kriging; the drift is a small change of a similarity.
 
     x, y (n, k), positions (m, k). Chiles & Delfiner (2012), Geostatistics, section 3.4.
     """
@@ -146,7 +146,7 @@ def krige(
     residual = y - anchors
     wanted = np.einsum("nki,nm,mk->i", here, inverse, residual)
     if np.isfinite(known.scale_sigma):
-        # The last parameter is the change of the scale, of which `known` has prior knowledge.
+        # The last parameter is the change of scale, whose prior is in `known`.
         sigma = known.sigma * fit.scale / np.sqrt(total)
         precision = (sigma / (size * max(known.scale_sigma, np.finfo(float).eps))) ** 2
         information[-1, -1] += precision
@@ -154,8 +154,8 @@ def krige(
     spread = np.linalg.pinv(information, rcond=1e-9)
     drift = spread @ wanted
     rest = residual - here @ drift
-    # Without validation, errors are those of a similarity whose errors are independent: a wrong
-    # field must not make them smaller.
+    # Without validation, errors are as for a similarity with independent errors: an incorrect field
+    # must not make them smaller.
     relative = 1.0 + leverage(anchors, placed) / anchors.shape[1]
     if validated:
         relative -= np.einsum("mn,mn->m", weights, across) / total
@@ -169,32 +169,32 @@ def krige(
 DECISIVE = float(np.log(1000.0))
 """Log likelihood ratio from which the handedness counts as known.
 
-Both hands are equally likely before, so at most 1 in 1001 of such decisions is wrong if the errors
-of maps are as assumed below.
+Prior probabilities of both hands are equal, so at most 1 in 1001 of such decisions is wrong if the
+errors of maps are as assumed below.
 """
 
-# Errors of neighbours are alike: parts of a map are shifted, bent or even mirrored together, so
-# anchors that are close are worth little more than one of them. FIELD_REACH is the reach of the
-# field of errors in sizes of the map, and FIELD_NOISE the variance of independent errors relative
-# to it; both make the errors of the maps of `ERROR_EVEN` likely. The RMS errors of such fields are
-# the median over even maps, and the root mean square over distorted ones, which differ more.
+# Errors of neighbours are correlated: parts of a map are shifted, bent or even mirrored as a whole,
+# so close anchors provide little more evidence than one anchor. FIELD_REACH is the reach of the
+# field of errors in sizes of the map, and FIELD_NOISE the relative variance of independent errors;
+# both fit the errors of the maps of `ERROR_EVEN`. RMS errors of the fields are the median over even
+# maps, and the root mean square over distorted maps, which differ more.
 FIELD_REACH, FIELD_NOISE = 0.5, 0.05
 _FIELD_EVEN, _FIELD_DISTORTED = 0.045, 0.4
 _DOUBT = 0.02
-"""Probability that a map that is not marked as distorted is: (1 + 0) / (2 + 62), by the rule of
-succession, since none of those 62 maps was."""
+"""Probability that a map without the mark is distorted: (1 + 0) / (2 + 62), by the rule of
+succession, since none of the 62 maps was distorted."""
 
 
 def choose_hand(tied: Tied, known: Known) -> tuple[bool, bool]:
-    """Decide whether a map is a mirror image, and return whether that is known."""
+    """Return whether a map is a mirror image, and whether the handedness is known."""
     evidence, irrelevant = known.evidence, True
     if not is_flat(tied.positions):
         found, irrelevant = _evidence(tied, known)
         evidence += found
     dimensions = tied.targets.shape[1]
     if irrelevant and dimensions == 3:
-        # Two rotations put one plane on another; the maps that they place are mirror images of each
-        # other. The fit takes the better rotation, so anchors must show that it is the right one.
+        # Two rotations map a plane to another plane; the placed maps are mirror images. The fit
+        # takes the better rotation, so anchors must show that it is the correct one.
         plane = Tied(in_plane(tied.positions), tied.sensors, in_plane(tied.targets))
         within, either = _evidence(plane, known)
         if abs(within) < DECISIVE and not either:
@@ -214,7 +214,7 @@ def choose_hand(tied: Tied, known: Known) -> tuple[bool, bool]:
 
 
 def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False) -> str:
-    """Return what would settle the handedness of a map, or the side of a flat map in space."""
+    """Return advice on how to determine the handedness of a map, or the side of a flat map."""
     if dimensions == 2:
         more = "a third anchor off their line" if count < 3 else "more anchors off their line"
     elif count < dimensions + 1:
@@ -231,14 +231,14 @@ def _undecided(count: int, dimensions: int, uneven: bool, *, sides: bool = False
 
 
 def _evidence(tied: Tied, known: Known) -> tuple[float, bool]:
-    """Compare how well anchors fit a map and its mirror image.
+    """Compare the fits of anchors to a map and to its mirror image.
 
-    Returns the log likelihood ratio, and whether both agree anyway.
+    Returns the log likelihood ratio, and whether both place the sensors equally.
     """
     x, y = tied.anchors, tied.targets
     fits = [fit_scaled(x, y, known, hand) for hand in (False, True)]
-    # Errors are those of the map, so residuals are converted to its unit, by one factor for both
-    # hands: the fitted scale of the wrong hand is too small, which would make its errors too small.
+    # Errors are in the unit of the map, so residuals are converted by the same factor for both
+    # hands: the fitted scale of the incorrect hand is too small, and would reduce its errors.
     unit = float(np.sum((x - x.mean(axis=0)) ** 2) / np.sum((y - y.mean(axis=0)) ** 2))
     placed = [fit.apply(tied.positions) for fit in fits]
     kernels = [field_kernel(points, FIELD_REACH, FIELD_NOISE) for points in placed]
@@ -255,10 +255,10 @@ def _evidence(tied: Tied, known: Known) -> tuple[float, bool]:
 def mirror_evidence(
     squares: tuple[float, float], freedom: int, size: float, *, uneven: bool
 ) -> float:
-    """Compare the residuals of anchors with a map and with its mirror image.
+    """Compare the residuals of anchors under a map and under its mirror image.
 
-    The prior of the variance is a mixture of scaled inverse chi-squared distributions, of good and
-    of distorted maps, so the likelihood is a mixture of densities of Student's t (Gelman et al.
+    The prior of the variance is a mixture of scaled inverse chi-squared distributions, for good and
+    for distorted maps, so the likelihood is a mixture of densities of Student's t (Gelman et al.
     2013, Bayesian Data Analysis, section 3.2).
     """
     doubt = 1.0 if uneven else _DOUBT

@@ -1,7 +1,7 @@
-"""Rigid modules of a skin, such as the triangles of the iCub, and maps fitted with them.
+"""Rigid modules of a skin, such as the triangles of the iCub, and fits of modules to maps.
 
-All modules of a skin are alike: a template gives the positions of the pads in the frame of a
-module. A template need not be known, to compare modules or to exchange them.
+All modules of a skin are equal: a template gives the positions of the pads in the frame of a
+module. The template may be unknown if modules are only compared or exchanged.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class Modules(Immutable):
     Parameters
     ----------
     index : array_like of int, shape (N,)
-        Module of each sensor, from 0; -1 for a sensor on no module.
+        Module of each sensor, from 0; -1 for a sensor without a module.
     pads : array_like of int, shape (N,)
-        Place of each sensor on its module, from 0, unique on the module; -1 on no module.
+        Pad of each sensor on its module, from 0, unique on the module; -1 without a module.
     labels : sequence of str
         Name of each module.
     template : array_like of shape (P, 2) or (P, 3), optional
@@ -82,7 +82,7 @@ class Modules(Immutable):
         self._check_pads()
 
     def _check_pads(self) -> None:
-        """Check that no two sensors share a pad, and that the template has all pads, if known."""
+        """Check that no two sensors share a pad, and that a known template has all pads."""
         taken = Counter(zip(self.index.tolist(), self.pads.tolist(), strict=True))
         exists = set(np.flatnonzero(np.isfinite(self.template).all(axis=1)).tolist())
         for (module, pad), count in taken.items():
@@ -121,8 +121,7 @@ class Modules(Immutable):
         ----------
         template : SensorMap
             One row per pad, in a unit of `METRES`. If all names end in different numbers (``P0``,
-            ``P11``), these are the numbers of the pads; otherwise pads are numbered in order from
-            0.
+            ``P11``), these numbers are the pads; otherwise, pads are numbered in order from 0.
 
         Returns
         -------
@@ -131,7 +130,7 @@ class Modules(Immutable):
         Raises
         ------
         InputError
-            If the template has no unit of length or not 2 or 3 dimensions, or lacks a pad.
+            If the template has no unit of length, does not have 2 or 3 dimensions, or lacks a pad.
         """
         if template.units not in METRES:
             raise InputError(
@@ -155,15 +154,15 @@ def modules_by_size(names: Sequence[str], size: int, first: int | None = None) -
     """Divide sensors into modules by the numbers at the end of their names.
 
     Sensor number n is pad ``(n - first) % size`` of module ``(n - first) // size``. Sensors
-    without a number are on no module.
+    without a number have no module.
 
     Parameters
     ----------
     names : sequence of str
-        Such as ``taxel2749``.
+        Names such as ``taxel2749``.
     size : int
-        Numbers per module, including those of pads that do not exist: 12 for the triangles of the
-        iCub, of which 10 are tactile sensors.
+        Numbers per module, including numbers without a tactile sensor: 12 for the triangles of the
+        iCub, which have 10 tactile sensors.
     first : int, optional
         Number of the first pad of some module. By default 0 or 1, whichever divides the sensors
         into fewer modules.
@@ -171,13 +170,13 @@ def modules_by_size(names: Sequence[str], size: int, first: int | None = None) -
     Returns
     -------
     Modules
-        Without a template; each label is the range of numbers of the module.
+        Modules without a template; each label is the range of numbers of the module.
 
     Raises
     ------
     InputError
         If `size` is less than 2, no name ends in a number, two names end in the same number, or
-        0 and 1 divide the sensors into equally many modules.
+        first numbers 0 and 1 result in equally many modules.
     """
     if size < 2:
         raise InputError(f"modules must have at least 2 pads, got {size}")
@@ -224,19 +223,18 @@ def modules_by_name(
     names : sequence of str
         Names of the sensors.
     assigned : mapping of str to (str, int or None)
-        Module of a sensor, and its pad. If no pad is given, the sensors of each module are its
-        pads 0, 1, ... in the order of `assigned`. Sensors that are not among `names` are left out.
+        Module and pad of each sensor. If no pads are given, the sensors of each module are pads
+        0, 1, ... in the order of `assigned`. Sensors that are not among `names` are left out.
 
     Returns
     -------
     Modules
-        Without a template, in the order of `assigned`.
+        Modules without a template, in the order of `assigned`.
 
     Raises
     ------
     InputError
-        If none of the sensors are among `names`, some have a pad and others none, or two share a
-        pad.
+        If no sensor is among `names`, only some sensors have a pad, or two sensors share a pad.
     """
     if not set(names) & set(assigned):
         raise InputError(
@@ -259,10 +257,10 @@ def modules_by_name(
 # Tuned on the iCub hexagon, its halves, and rubbed simulated hexagons, seeds 201 to 203.
 _REACH = 4.0  # pitches between sensors whose distance on the map is used
 _MIN_NOISE = 1e-3  # pitches; keeps weights finite on exact maps
-_MAX_STRETCH = 2.0  # of a module on the map, relative to the median of all
+_MAX_STRETCH = 2.0  # of a module on the map, relative to the median over modules
 
 MIN_PADS = 3
-"""Number of placed pads that determine the pose of a module."""
+"""Minimum number of placed pads that determine the pose of a module."""
 
 
 class ModuleFit(NamedTuple):
@@ -271,8 +269,8 @@ class ModuleFit(NamedTuple):
     Attributes
     ----------
     map : SensorMap
-        In the unit of the template, known up to rotation and translation. Sensors that the map did
-        not place are placed with their module.
+        In the unit of the template, known up to rotation and translation. Unplaced sensors of the
+        original map are placed with their module.
     evidence : float
         Log likelihood ratio of the handedness of the map against its mirror image; negative if the
         map was reflected, 0 if modules do not determine it.
@@ -322,7 +320,7 @@ def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
     fitted = np.flatnonzero(counts >= MIN_PADS)
     if not fitted.size:
         raise InputError(f"no module has {MIN_PADS} sensors with a position on the map")
-    number = np.full(modules.n_modules + 1, NO_MODULE)  # the last is for sensors on no module
+    number = np.full(modules.n_modules + 1, NO_MODULE)  # the last is for sensors without a module
     number[fitted] = np.arange(len(fitted))
     body = number[modules.index]
     groups = [np.flatnonzero(placed & (body == b)) for b in range(len(fitted))]
@@ -337,9 +335,9 @@ def fit_modules(sensor_map: SensorMap, modules: Modules) -> ModuleFit:
 
 
 def _handedness(positions: Points, offsets: Points, groups: list[NDArray[np.intp]]) -> float:
-    """Compare the errors of modules on the map and on its mirror image, as a log likelihood ratio.
+    """Return the log likelihood ratio of the map and its mirror image, by errors of modules.
 
-    Modules are scaled one by one. The variance is unknown, so likelihoods are those of Student's t.
+    Each module is scaled separately. The variance is unknown, so errors follow Student's t.
     """
     squares = np.zeros(2)
     freedom = 0
@@ -359,11 +357,11 @@ def _handedness(positions: Points, offsets: Points, groups: list[NDArray[np.intp
 
 
 class _Alone(NamedTuple):
-    """Each module fitted to the map by itself.
+    """Separate fits of each module to the map.
 
     log_scale: Median logarithm of the units of the template per unit of the map.
-    distortion: Standard deviation of the logarithm that noise does not explain.
-    shrunk (B,): Logarithm where each module is, moved towards the median as far as noise explains.
+    distortion: Standard deviation of this logarithm beyond noise.
+    shrunk (B,): Logarithm at each module, shrunk towards the median according to the noise.
     noise: Standard deviation of a coordinate on the map, in units of the template.
     """
 
@@ -380,8 +378,8 @@ def _fit_alone(
     squares, freedom = 0.0, 0
     tiny = float(np.finfo(float).tiny)
     for members in groups:
-        # Noise of the map lowers this scale; the scale of the inverse fit, which it does not lower,
-        # was 1 to 6 % too large on maps of the tuning, as they shrink short distances.
+        # Noise of the map lowers this scale, but not the scale of the inverse fit, which was 1 to
+        # 6 % too large on the maps used for tuning, since maps shrink short distances.
         fit = fit_similarity(positions[members], offsets[members], reflection=False)
         found.append(max(fit.scale, tiny))
         residual = fit.apply(positions[members]) - offsets[members]
@@ -425,12 +423,12 @@ def _refined(
     pairs = pairs[bodies[pairs[:, 0]] != bodies[pairs[:, 1]]]
     apart = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1)
     lengths = apart * np.exp(stretch[bodies[pairs]].mean(axis=1))
-    # Distortions of the scale add up from module to module like the steps of a random walk.
+    # Distortions of the scale accumulate from module to module like steps of a random walk.
     pads = max(len(members) for members in groups)
     step = float(np.sqrt(np.median([np.sum(np.var(scaled[m], axis=0)) for m in groups])))
-    # All modules share such a drift, so their positions are as good as those of one module.
+    # All modules share this drift, so their positions are as accurate as that of one module.
     drift = n_modules * alone.distortion**2 * extent(scaled[here]) * step
-    # Distances from one pad to all pads of a module share its error.
+    # Distances from a pad to all pads of a module share the error of this pad.
     pair_sigma = alone.noise * float(np.sqrt(2 * pads))
     target_sigma = float(np.sqrt(alone.noise**2 + pads * drift))
     n_bodies, width = len(translation), 3 if k == 2 else 6  # angles, then a shift

@@ -1,8 +1,8 @@
-"""Placing a map: from arbitrary units to metres in the frame of the robot, and its errors in words.
+"""Placing of a map: from arbitrary units to metres in the frame of the robot; texts about errors.
 
-Three errors of a map are given: that of the map, an RMS over its sensors; that of regions; and that
-of a single sensor, a distance that it exceeds with a probability of 10 %, whatever the error of the
-map is within its interval.
+Three errors of a map are reported: the RMS error over all sensors, the error of regions, and the
+error of a single sensor. The last is exceeded with a probability of 10 %, given the interval of the
+error of the map.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from anisomap.placement.surface import (
 )
 from anisomap.sensor_map import UNPLACED, SensorMap, radius
 
-# Standard deviations of the logarithm of a scale. Modules were 1 to 5 % off on real and simulated
-# hexagons; that of the spacing is a guess on the safe side.
+# Standard deviations of the logarithm of a scale. Scales by modules were 1 to 5 % off on real and
+# simulated hexagons; the deviation of scales by spacing is a cautious guess.
 _MODULE_SCALE, _SPACING_SCALE = 0.04, 0.2
 
 COVERAGE = 0.9
-"""Probability with which a sensor is within its error."""
+"""Probability that the error of a sensor is below the stated error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Placement:
     Attributes
     ----------
     map : SensorMap
-        With `SensorMap.errors` and in the frame of the robot if there were anchors.
+        The placed map; with anchors, in the frame of the robot and with `SensorMap.errors`.
     anchors : tuple of str
         Sensors that served as anchors.
     residuals : ndarray of shape (n,)
@@ -63,7 +63,7 @@ class Placement:
     left_out_errors : ndarray of shape (n,)
         Errors of each anchor predicted from the others of its component; NaN with fewer than 5.
     methods : tuple of str
-        How each component was placed, the largest first.
+        Method by which each component was placed, the largest first.
     left_out : tuple of str
         Sensors that could not be placed.
     """
@@ -97,8 +97,8 @@ def place(
     modules : Modules, optional
         Rigid modules with a template: see `fit_modules`.
     mesh : Mesh, optional
-        Surface of the skin in metres, in the frame of the anchors. Sensors are placed on it, with
-        its normals, and its shape may determine the handedness.
+        Surface of the skin in metres, in the frame of the anchors. Sensors are placed on the mesh,
+        with normals of the mesh, and its shape may determine the handedness.
     spacing : (float, str), optional
         Median distance between neighbouring sensors and its unit.
     handedness : {"", "same", "mirrored"}
@@ -107,7 +107,7 @@ def place(
     Returns
     -------
     Placement
-        Without anchors the map keeps its components and has an arbitrary pose.
+        Without anchors, the map keeps its components and has an arbitrary pose.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def place(
 
 
 class _Shape(NamedTuple):
-    """What is known of the shape of the skin, and its stated handedness."""
+    """Known shape of the skin, and the handedness specified by the user."""
 
     modules: Modules | None
     surface: Surface | None
@@ -153,9 +153,9 @@ class _Shape(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """A component of the map: all sensors, placed or not, and what is known of it.
+    """A component of the map: all sensors, placed or not, and prior knowledge.
 
-    rigid: Whether it was fitted by its modules.
+    rigid: Whether the component was fitted by modules.
     """
 
     map: SensorMap
@@ -165,12 +165,12 @@ class _Part(NamedTuple):
     rigid: bool = False
 
     def fresh(self, whole: SensorMap, label: int) -> NDArray[np.bool_]:
-        """Mask its sensors, without those that another component of the map places."""
+        """Mask the sensors of the component, without sensors that another component places."""
         return np.asarray(self.map.placed & (whole.placed <= (whole.component == label)))
 
 
 def _scaled(part: SensorMap, modules: Modules | None, spacing: tuple[float, str] | None) -> _Part:
-    """Scale a component by its modules, else by its spacing."""
+    """Scale a component by modules if there are any, else by spacing."""
     if modules is not None:
         on_module = modules.index[part.placed & (modules.index != NO_MODULE)]
         if np.bincount(on_module, minlength=1).max() >= MIN_PADS:
@@ -191,7 +191,7 @@ def _in_metres(sensor_map: SensorMap) -> SensorMap:
 
 
 def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) -> Placement:
-    """Combine components in metres, each in a frame of its own."""
+    """Combine components in metres; each keeps its own frame."""
     positions = np.full_like(sensor_map.positions, np.nan)
     covariances = np.full((*positions.shape, positions.shape[1]), np.nan)
     component = np.full(sensor_map.n_sensors, UNPLACED)
@@ -231,7 +231,7 @@ def _place_part(
 ) -> tuple[AnchorFit, Points, Points, str]:
     """Place the sensors `members` of a component by the anchors of its sensors `anchored`.
 
-    Returns the fit, positions and normals (n, 3), and how they were found.
+    Returns the fit, positions and normals (n, 3), and the method.
     """
     k = anchors.positions.shape[1]
     index = np.searchsorted(members, anchored)
@@ -258,7 +258,7 @@ def _place_part(
 def _anchored(
     sensor_map: SensorMap, parts: list[_Part], anchors: Anchors, shape: _Shape
 ) -> Placement:
-    """Place each component by its anchors, all in one frame."""
+    """Place each component by its anchors, in a common frame."""
     where = _rows(sensor_map, anchors, shape)
     n_sensors, k = sensor_map.n_sensors, max(anchors.positions.shape[1], sensor_map.dimensions)
     positions, normals = np.full((n_sensors, k), np.nan), np.full((n_sensors, 3), np.nan)
@@ -285,7 +285,7 @@ def _anchored(
     if not mirror:
         raise failures[0]
     if shape.modules is None:
-        # What was measured is worth more than the map; modules stay rigid instead.
+        # Measured positions replace positions on the map, except that modules stay rigid.
         measured = np.isfinite(residuals)
         positions[where[measured]] = anchors.positions[measured]
         errors[where[measured]] = 0.0
@@ -294,7 +294,7 @@ def _anchored(
         positions=positions,
         component=np.where(np.isfinite(positions).all(axis=1), 0, UNPLACED),
         errors=errors,
-        covariances=None,  # errors contain them
+        covariances=None,  # included in the errors
         normals=None if shape.surface is None else normals,
         units="m",
         handed=handed,
@@ -307,7 +307,7 @@ def _anchored(
 
 
 def _with_missing(found: Placement, before: SensorMap) -> Placement:
-    """Name the sensors that were left out, also in a note."""
+    """Add the names of sensors that were left out, and a note."""
     after = found.map
     missing = tuple(before.names[i] for i in np.flatnonzero(before.placed & ~after.placed))
     if not missing:
@@ -320,7 +320,7 @@ def _with_missing(found: Placement, before: SensorMap) -> Placement:
 
 
 def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.intp]:
-    """Return the rows of the anchors, and check their coordinates."""
+    """Check the coordinates of the anchors, and return their rows in the map."""
     k = anchors.positions.shape[1]
     if k < sensor_map.dimensions:
         raise InputError("anchors of a map in 3D must have three coordinates")
@@ -338,7 +338,7 @@ def _rows(sensor_map: SensorMap, anchors: Anchors, shape: _Shape) -> NDArray[np.
 
 
 def _rigid(positions: Points, modules: Modules) -> Points:
-    """Give the modules of a warped map their shape again."""
+    """Restore the shape of the modules of a warped map."""
     k = positions.shape[1]
     offsets = padded(modules.offsets[:, :k] * METRES[modules.units], k)
     found = positions.copy()
@@ -351,12 +351,12 @@ def _rigid(positions: Points, modules: Modules) -> Points:
 
 
 def headline(sensor_map: SensorMap) -> str:
-    """Return the verdict on a map, and how far its positions are off, in one line."""
+    """Return the verdict on a map and the error of its positions in one line."""
     return sensor_map.verdict.headline(*spacing_shown(sensor_map))
 
 
 def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
-    """Return sentences: what a map can be used for, its accuracy, and the reasons."""
+    """Return sentences about the use of a map, its accuracy, and the reasons."""
     spacing, unit = spacing_shown(sensor_map)
     told = list(sensor_map.verdict.told(spacing, unit))
     within = errors_of_sensors(sensor_map)
@@ -377,7 +377,7 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
 
 
 def errors_in_mm(sensor_map: SensorMap) -> dict[str, float]:
-    """Return the errors of a verdict in mm, by name with ``_mm``; {} if the scale is unknown."""
+    """Return the errors of a verdict in mm; names end in ``_mm``; {} if the scale is unknown."""
     spacing, unit = spacing_shown(sensor_map)
     names = [name for name in ACCURACY if not name.startswith("neighbours")]
     known = names if unit == "mm" else []
@@ -385,18 +385,18 @@ def errors_in_mm(sensor_map: SensorMap) -> dict[str, float]:
 
 
 def spacing_shown(sensor_map: SensorMap) -> tuple[float, str]:
-    """Return the median spacing of a map in mm, and mm; 1 and spacings if its scale is unknown."""
+    """Return the median spacing of a map in mm, and "mm"; 1 and "spacings" without a scale."""
     if sensor_map.units in METRES:
         unit, factor = length_shown(sensor_map.units, "")
         try:
             return factor * median_spacing(sensor_map), unit
-        except InputError:  # a single sensor, or all at one position
+        except InputError:  # a single sensor, or coincident sensors
             pass
     return 1.0, "spacings"
 
 
 def errors_of_sensors(sensor_map: SensorMap) -> NDArray[np.float64]:
-    """Return the distance within which each sensor is with `COVERAGE`, shape (N,), in its units.
+    """Return the error of each sensor at probability `COVERAGE`, shape (N,), in units of the map.
 
     From `SensorMap.errors` of a placed map, else from its covariances; NaN if unknown.
     """

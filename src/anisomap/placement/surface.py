@@ -1,4 +1,4 @@
-"""A map on the surface of a mesh: its handedness, and the nearest points."""
+"""Fits of maps to the surface of a mesh, and the handedness that they imply."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from anisomap.placement.handedness import Tied
 from anisomap.sensor_map import MAX_COORDINATE
 
 # Tuned on rubbed spheres, cylinders, y-shapes, tori, cubes, hands and tubes, seeds 201 and 202.
-_INDEPENDENT = 20.0  # independent errors of a map, which are correlated between neighbours
-_ANCHOR_WEIGHT = 3.0  # of an anchor against the nearest point of a sensor, to compare hands
+_INDEPENDENT = 20.0  # number of independent errors of a map; errors of neighbours are correlated
+_ANCHOR_WEIGHT = 3.0  # of an anchor relative to a nearest point, in comparisons of hands
 _MAX_ITERATIONS = 60  # of iterated closest points
 _CONVERGED = 1e-4  # largest step, in sizes of the map
-# Fields of displacements that bend a map to a surface: reaches in sizes of the map, and variance of
-# the noise relative to that of the field. Fields of shorter reach move sensors along the surface.
+# Fields of displacements that bend a map to a surface: reaches in sizes of the map, and relative
+# variance of the noise. Fields of shorter reach move sensors along the surface.
 _BEND_REACHES, _BEND_NOISE = (4.0, 2.0, 1.0), 0.1
-_BEND_ANCHOR_WEIGHT = 10.0  # of an anchor against the nearest point; 3 to 30 give equal results
+_BEND_ANCHOR_WEIGHT = 10.0  # of an anchor relative to a nearest point; 3 to 30 give equal results
 _BEND_ITERATIONS, _BEND_CONVERGED = 25, 1e-3  # the largest step, in sizes of the map
-# Points drawn on the mesh, about 1 % of its size apart: far less than the distances compared.
+# Points drawn on the mesh, at distances of about 1 % of its size, far less than those compared.
 _N_SAMPLES = 20_000
 
 
 class Surface:
-    """A mesh, searched exactly or, faster, among points drawn on it.
+    """A mesh with an exact search, and a faster search among points drawn on the mesh.
 
     mesh: In metres.
     """
@@ -42,13 +42,13 @@ class Surface:
             raise InputError(f"coordinates of a mesh must be at most {MAX_COORDINATE:g} m")
         if not areas_of(corners).sum() > 0:
             raise InputError("the triangles of a mesh must have an area")
-        rng = np.random.default_rng(0)  # fixed: one mesh is always searched alike
+        rng = np.random.default_rng(0)  # fixed, for reproducible searches
         self._points, self._normals = sample_triangles(corners, _N_SAMPLES, rng)
         self._tree = KDTree(self._points)
         self.nearest = TriangleSearch(mesh).nearest
 
     def goal(self, placed: Points, tied: Tied) -> Points:
-        """Return the places of anchors, and others on the planes of the nearest drawn points."""
+        """Return positions of anchors, and other sensors on planes of nearest drawn points."""
         found = np.asarray(self._tree.query(placed)[1])
         normals = self._normals[found]
         height = np.einsum("nd,nd->n", placed - self._points[found], normals)
@@ -58,9 +58,9 @@ class Surface:
 
 
 def surface_evidence(tied: Tied, surface: Surface) -> float:
-    """Compare how well a map and its mirror image fit a surface.
+    """Return the log likelihood ratio of a map and its mirror image, by fits to a surface.
 
-    Besl & McKay (1992), IEEE Trans. PAMI 14(2): 239-256, from the fit to the anchors.
+    Besl & McKay (1992), IEEE Trans. PAMI 14(2): 239-256, starting from the fit to the anchors.
     """
     misfits = []
     weights = np.ones(len(tied.positions))
@@ -74,7 +74,7 @@ def surface_evidence(tied: Tied, surface: Surface) -> float:
 
 
 def check_near_surface(positions: Points, errors: NDArray[np.float64], surface: Surface) -> None:
-    """Check that placed sensors are near a surface, before a map is bent to it."""
+    """Check that placed sensors are near a surface, before bending."""
     off = np.linalg.norm(surface.nearest(positions)[0] - positions, axis=1)
     if np.median(off - errors) > 0:
         raise InputError(
@@ -105,7 +105,7 @@ def bend_to_surface(placed: Points, tied: Tied, surface: Surface) -> Points:
     """Bend a placed map, (N, 3), by a smooth field to a surface and to its anchors.
 
     Non-rigid iterated closest points (Amberg, Romdhani & Vetter 2007,
-    doi:10.1109/CVPR.2007.383165), with Gaussian processes of which the reach shrinks.
+    doi:10.1109/CVPR.2007.383165), with Gaussian processes of decreasing reach.
     """
     size, noise = extent(placed), np.full(len(placed), _BEND_NOISE)
     noise[tied.sensors] = _BEND_NOISE / _BEND_ANCHOR_WEIGHT
