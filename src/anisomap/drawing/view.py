@@ -1,4 +1,4 @@
-"""What figures and reports share: components prepared for drawing, views, and names of files."""
+"""Common parts of figures and reports: components prepared for drawing, views, and file names."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ View: TypeAlias = tuple[float, float]
 """Direction of view: elevation above the x-y plane and azimuth, in degrees."""
 
 VIEWS: tuple[View, ...] = ((18.0, -60.0), (18.0, 30.0), (65.0, -90.0))
-"""Available views: the default, one from its right, and one from above with x to the right."""
+"""Available views: the default, a view from its right, and a view from above, x to the right."""
 
-_MIN_SPREAD = 0.4  # of the longest axis: shorter axes use part of their range of colours
+_MIN_SPREAD = 0.4  # of the longest axis; shorter axes use a part of the range of colours
 # Ottosson (2020), "A perceptual color space for image processing": OKLab to linear sRGB.
 _LAB_TO_CONES = np.array(
     [
@@ -46,8 +46,8 @@ _CONES_TO_RGB = np.array(
 def place_colours(points: ArrayLike, view: View = VIEWS[0]) -> Points:
     """Encode positions as colours. points (N, 2 or 3) -> (N, 3).
 
-    Seen from `view`, up is light, right is yellow and left is blue: these two contrasts survive
-    every common colour vision deficiency. Red is near and green is far; in 2D, low and high.
+    Seen from `view`, up is light, right is yellow and left is blue: these two contrasts are visible
+    with every common colour vision deficiency. Red is near and green is far; in 2D, low and high.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.shape[1] == 2:
@@ -75,7 +75,7 @@ def view_axes(view: View) -> Points:
 
 
 def _spread(points: Points) -> Points:
-    """Scale each axis to [-1, 1], short axes to less, so that noise does not become a colour."""
+    """Scale each axis to [-1, 1], and short axes to less, so that noise is not coloured."""
     lowest, highest = points.min(axis=0), points.max(axis=0)
     half = (highest - lowest) / 2
     half = np.maximum(half, _MIN_SPREAD * half.max())
@@ -84,12 +84,12 @@ def _spread(points: Points) -> Points:
 
 
 MAX_JOINED = 10_000
-"""Above this number of sensors, neighbours are not joined: the lines would form a grey area."""
+"""Maximum number of sensors whose neighbours are joined: more lines would form a grey area."""
 
-_DEFAULT_VIEW_BONUS = 1.25  # factor by which another view must show more than the default
+_DEFAULT_VIEW_BONUS = 1.25  # minimum gain of another view over the default view
 _N_NEIGHBOURS = 8
 _MAX_LENGTH = 2.5  # of a line, in distances to the nearest sensor
-_ALIKE = 1.25  # ratio of the half axes of nine and one in ten sensors that the eye hardly sees
+_ALIKE = 1.25  # ratio of the 90 % to the 10 % quantile of half axes that is hardly visible
 _PLANAR = 1e-6  # largest height of a planar configuration, in units of its width
 _N_LABELS, _LABEL_ALL = 8, 24
 _MAX_LABEL, MAX_UNITS = 14, 24  # characters
@@ -104,14 +104,14 @@ class Panel:
     colours (n, 3): sRGB in [0, 1] by true position if known, else by position; grey for sensors
         that were not compared.
     pairs: Neighbours by true position if known, else by position; empty above `MAX_JOINED` sensors.
-    uncompared, faulty (n,): Sensors that the score excludes, and faulty ones, which are marked.
-    sensors: Their indices in the map; those that were compared with the truth come first.
-    truth (m, k), errors (m,): True positions of the first m sensors, and distances from there;
-        empty if the truth is unknown.
+    uncompared, faulty (n,): Sensors that the score excludes, and faulty sensors, to be marked.
+    sensors: Indices in the map; sensors that were compared with the truth are first.
+    truth (m, k), errors (m,): True positions of the first m sensors, and their errors; empty if the
+        truth is unknown.
     number: Number of the component, from 1 for the largest.
     labels: Names written beside points.
     unplaced (m, k): True positions of sensors that maps do not place, drawn as rings.
-    limits (k, 2): Limits of the axes; by default around all that is drawn.
+    limits (k, 2): Limits of the axes; by default around all marks.
     """
 
     points: Points
@@ -160,7 +160,7 @@ class Panel:
 
 
 def drawn_components(sensor_map: SensorMap, score: Score | None = None) -> list[Panel]:
-    """Prepare the largest component of a map, and others of several sensors, for drawing."""
+    """Prepare the largest component of a map, and others with several sensors, for drawing."""
     return [
         _prepared(sensor_map, label, None if label else score)
         for label, size in enumerate(sensor_map.component_sizes)
@@ -179,8 +179,8 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
 
     The ball whose diameter joins two neighbours contains no third sensor (Gabriel & Sokal 1969,
     Systematic Zoology 18: 259-278), one is among the 8 nearest of the other, and their distance is
-    at most 2.5 times that of either to its nearest sensor. This gives no diagonals in a square
-    lattice, all six sides in a triangular one, and no lines across gaps.
+    at most 2.5 times the distance of each to its nearest sensor. The result has no diagonals in a
+    square lattice, all six neighbours in a triangular lattice, and no lines across gaps.
     """
     points = np.asarray(points, dtype=np.float64)
     count = min(_N_NEIGHBOURS + 1, len(points))
@@ -202,7 +202,7 @@ def neighbour_pairs(points: ArrayLike) -> NDArray[np.intp]:
 
 def best_view(*configurations: Points) -> View:
     """Choose the view that shows the largest projected area of configurations (n, 3)."""
-    # Product over configurations of the area of the ellipse that approximates the projection.
+    # The score is the product over configurations of areas of ellipses fitted to projections.
     centred = [points - points.mean(axis=0) for points in configurations]
     areas = []
     for view in VIEWS:
@@ -223,7 +223,7 @@ def box_around(*configurations: Points) -> Points:
 
 
 def shown_name(name: str) -> str:
-    """Return a name that is short enough to stand beside a sensor."""
+    """Return a name short enough for a label of a sensor."""
     return shortened(printable(name), _MAX_LABEL)
 
 
@@ -239,7 +239,7 @@ def axis_title(axis: str, units: str) -> str:
 
 
 def ellipses_differ(covariances: ArrayLike) -> bool:
-    """Return whether ellipses differ in size, so that they are worth drawing.
+    """Return whether ellipses differ visibly in size; equal ellipses are not drawn.
 
     covariances (N, k, k).
     """
@@ -338,9 +338,9 @@ def segments(points: Points, pairs: NDArray[np.intp]) -> Points:
 
 
 def span_dimensions(points: Points) -> int:
-    """Return the number of coordinates, 2 or 3, that show points; a constant z is not shown.
+    """Return the number of coordinates needed to draw points, 2 or 3; 2 if z is constant.
 
-    points (n, k): Unknown ones may be NaN.
+    points (n, k): NaN if unknown.
     """
     if points.shape[1] < 3:
         return 2
@@ -349,12 +349,12 @@ def span_dimensions(points: Points) -> int:
 
 
 def with_axes(points: Points, dimensions: int) -> Points:
-    """Append zeros or drop the last coordinates, to a given number of coordinates."""
+    """Append zeros or drop last coordinates to obtain a given number of coordinates."""
     return padded(points[:, :dimensions], dimensions)
 
 
 def checked_kind(path: str | os.PathLike[str], kinds: tuple[str, ...], what: str) -> str:
-    """Return the suffix of a file name without its dot, if it is one of `kinds`."""
+    """Return the suffix of a file name without the dot; raise unless it is one of `kinds`."""
     kind = Path(path).suffix.lower().removeprefix(".")
     if kind not in kinds:
         *others, last = (f".{one}" for one in kinds)

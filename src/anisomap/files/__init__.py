@@ -1,1 +1,1 @@
-"""Files of any kind: safe opening and writing, meshes, and readers in a process of their own."""
+"""Files of any kind: safe opening and writing, meshes, and readers in a separate process."""

@@ -1,4 +1,4 @@
-"""The budget of memory that a file may unpack to, for sizes that it declares or that are found."""
+"""Limit of memory for unpacked contents of a file, for declared and for actual sizes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ MAX_RATIO = 1000
 """Maximum ratio of unpacked to packed bytes; binary readings of an iCub reached 610."""
 
 FREE_BYTES = 1 << 27
-"""Content up to this size is accepted at any ratio: a skin that nothing touches compresses well."""
+"""Content up to this size is accepted at any ratio: readings without contact compress well."""
 
 SENSOR_BYTES = 160
-"""Memory per sensor beside its readings: name (64), its place in two tuples and a set (60), and
-position (24)."""
+"""Memory per sensor in addition to readings: name (64), references in two tuples and a set (60),
+and position (24)."""
 
 _MOST_SHOWN = 10**18
-"""Largest number of bytes in messages: a declared size may have thousands of digits."""
+"""Maximum number of bytes in messages: a declared size may have thousands of digits."""
 
 _READING_BYTES = np.dtype(np.float32).itemsize
 
 
 class Budget:
-    """The bytes that a file, or all files of a folder, may unpack to.
+    """Maximum bytes of unpacked contents of a file, or of all files in a folder.
 
     path: The file or folder, whose size on disk determines the limit.
     """
@@ -38,7 +38,7 @@ class Budget:
         self._spent = 0
 
     def check(self, n_bytes: float, what: str) -> None:
-        """Reject content before it is unpacked."""
+        """Reject content that is too large, before it is unpacked."""
         if n_bytes > self.limit:
             shown = min(n_bytes, _MOST_SHOWN)
             raise FileError(
@@ -54,7 +54,7 @@ class Budget:
 
 
 def bytes_kept(dtype: np.dtype[np.generic]) -> int:
-    """Return the bytes per reading in memory: those of float32 if it is exact, else float64."""
+    """Return the bytes per reading in memory: of float32 if it is exact, else of float64."""
     return _READING_BYTES if np.can_cast(dtype, np.float32) else np.dtype(np.float64).itemsize
 
 
@@ -64,6 +64,6 @@ def size_on_disk(path: Path) -> int:
         return path.stat().st_size if path.is_file() else 0
     total = 0
     for file in path.rglob("*"):
-        with suppress(OSError):  # files of a folder come and go
+        with suppress(OSError):  # files may disappear meanwhile
             total += file.stat().st_size if file.is_file() else 0
     return total

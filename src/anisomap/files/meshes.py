@@ -14,13 +14,13 @@ from anisomap.errors import FileError, import_extra
 from anisomap.files.paths import open_regular
 from anisomap.files.reader_process import opened
 
-# Names of objects, groups and materials: trimesh takes quadratic time to divide a mesh by them.
+# Names of objects, groups and materials, by which trimesh splits a mesh in quadratic time.
 _OBJ_GROUPS = re.compile(rb"^[ \t]*+(?:usemtl|mtllib|o|g|s)\b[^\r\n]*+", re.MULTILINE)
 _STL_START, _STL_HEADER, _STL_TRIANGLE = 150, 84, 50  # bytes of a binary file
 
 
 def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Read a mesh without its materials, which may be in other files.
+    """Read a mesh without materials, which may be in other files.
 
     Returns vertices (V, 3), faces.
     """
@@ -35,7 +35,7 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
 
 
 def _read(path: Path) -> Iterator[list[NDArray[np.generic]]]:
-    """Yield the vertices and faces; this runs in the process for readers."""
+    """Yield the vertices and faces; runs in the reader process."""
     trimesh = import_extra("trimesh", "reading a mesh", "mesh")
     with open_regular(path) as stream:
         content = stream.read()
@@ -44,13 +44,13 @@ def _read(path: Path) -> Iterator[list[NDArray[np.generic]]]:
         _check_triangles(path, content)
     if suffix == ".obj":
         content = _OBJ_GROUPS.sub(b"", content)
-    # Given bytes without a name, trimesh opens no other file.
+    # trimesh does not open other files if it is given bytes without a name.
     mesh = trimesh.load_mesh(BytesIO(content), file_type=suffix[1:])
     yield [np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.intp)]
 
 
 def _check_triangles(path: Path, content: bytes) -> None:
-    """Check the number of triangles of a binary STL file, which trimesh takes for text if wrong."""
+    """Check the number of triangles of a binary STL file; trimesh reads incorrect files as text."""
     n_triangles = int.from_bytes(content[_STL_HEADER - 4 : _STL_HEADER], "little")
     start = content[:_STL_START].lstrip().lower()
     is_text = start.startswith(b"solid") and b"facet" in content.lower()

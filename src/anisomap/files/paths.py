@@ -13,21 +13,21 @@ from typing import TypeAlias
 
 from anisomap.errors import FileError
 
-_MARK_BYTES = 8  # of a temporary file's name: no two agree
-_STEM = 32  # characters of the output's name in it; systems limit names to 255 bytes
+_MARK_BYTES = 8  # random bytes in the name of a temporary file, which make it unique
+_STEM = 32  # characters of the output's name in this name; systems limit names to 255 bytes
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Check that a path that a library opens is a regular file.
+    """Check that a path is a regular file, before a library opens it.
 
-    Opening a pipe waits for its writer, and some devices never end.
+    Opening a pipe waits for a writer, and some devices never end.
     """
     open_regular(path).close()
 
 
 def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
     """Open a regular file as bytes, without waiting for pipes."""
-    # Flags that not all systems have: do not wait for the writer of a pipe; keep line ends.
+    # Do not wait for the writer of a pipe; keep line ends. Not all systems have these flags.
     flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         descriptor = os.open(path, os.O_RDONLY | flags)
@@ -37,7 +37,7 @@ def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):
-        # Unlike os.fdopen, this keeps the name of the file.
+        # Unlike os.fdopen, open keeps the name of the file.
         return open(path, "rb", opener=lambda *_: descriptor)
     os.close(descriptor)
     if stat.S_ISDIR(mode):
@@ -61,7 +61,7 @@ def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
 
 
 def check_target(path: str | os.PathLike[str]) -> Path:
-    """Check that a file could be written at a path."""
+    """Check that a file can be written at a path."""
     target = Path(path)
     try:
         if target.is_dir():
@@ -91,10 +91,10 @@ def check_distinct(
 
 
 def _real(path: str | os.PathLike[str]) -> Path:
-    """Follow links; unlike Path.resolve in Python 3.11 and 3.12, also those that lead nowhere."""
+    """Follow links; unlike Path.resolve in Python 3.11 and 3.12, also broken links."""
     try:
         return Path(os.path.realpath(path))
-    except OSError as error:  # the working folder is gone
+    except OSError as error:  # the working folder was removed
         raise FileError(f"cannot find {path}: {error.strerror or error}") from error
 
 
@@ -104,9 +104,9 @@ _moves: ContextVar[_Moves | None] = ContextVar("moves of files that are written 
 
 @contextmanager
 def together() -> Iterator[_Moves]:
-    """Replace the files that are written in the block all at its end, if there is no error.
+    """Replace all files written in the block at its end, if there is no error.
 
-    Yields the temporary files, each with its place and the path that was given.
+    Yields the temporary files, each with its target and the given path.
     """
     if (outer := _moves.get(None)) is not None:
         yield outer
@@ -136,7 +136,7 @@ def _named_errors(target: Path) -> Iterator[None]:
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Provide a temporary file that replaces `path` if the block ends without an error."""
     target = check_target(path)
-    # Named before it is created, so that an interruption in between leaves nothing.
+    # The name is chosen before the file is created, so that an interruption leaves no file.
     mark = os.urandom(_MARK_BYTES).hex()
     place = _real(target)
     temporary = place.with_name(f".{target.stem[:_STEM]}-{mark}{target.suffix}")

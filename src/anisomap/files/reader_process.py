@@ -1,7 +1,7 @@
 """Read files by libraries in another process, within limits of memory and time.
 
-Damaged files make libraries take any amount of memory, compute without end, or end their process.
-A request is a line of JSON; an answer is a line of JSON, followed by the bytes of its arrays.
+With damaged files, libraries may use unlimited memory, run forever, or terminate the process. A
+request is a line of JSON; an answer is a line of JSON, followed by the bytes of its arrays.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from anisomap.numerics.precision import physical_memory
 if sys.platform != "win32":
     import resource
 
-_COPIES, _ANY = 2, 1 << 62  # of what a file may unpack to; any number of bytes
+_COPIES, _ANY = 2, 1 << 62  # copies of unpacked contents in memory; no limit of bytes
 _SECONDS, _BYTES_PER_SECOND = 10, 50_000  # processor time on a slow machine
-_PATIENCE = 10  # time by the clock on a busy machine, per processor time
+_PATIENCE = 10  # elapsed time on a busy machine, relative to processor time
 _WATCH_S = 0.05
 _OUT_OF_MEMORY = 99  # exit code
 _NO_SPACE = (errno.EFBIG, errno.ENOMEM)
@@ -50,18 +50,18 @@ _SERVE = "from anisomap.files.reader_process import serve; serve()"
 _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 _ARRAY = "\0array"
 _OF_VALUES = (ValueError, ArithmeticError, OSError, EOFError)
-_OF_CODE = (TypeError, AttributeError, IndexError)  # their messages are about a library
+_OF_CODE = (TypeError, AttributeError, IndexError)  # messages refer to code of a library
 
 
 @contextmanager
 def opened(function: Callable[..., Any], path: Path, *arguments: Any) -> Iterator[Iterator[Any]]:
     """Call a generator function in another process: ``function(path, *arguments)``.
 
-    Arguments and what is yielded are JSON, or arrays in it. Exceptions of libraries, and of values
-    that cannot be read, become a `DamagedError`.
+    Arguments and results are JSON, or arrays in JSON. Exceptions by libraries or by unreadable
+    values become a `DamagedError`.
     """
     budget, folder = Budget(path), None
-    with suppress(OSError):  # it may be gone
+    with suppress(OSError):  # the file may have been removed
         folder = os.getcwd()  # noqa: PTH109
     request = {
         "module": function.__module__,
@@ -75,7 +75,7 @@ def opened(function: Callable[..., Any], path: Path, *arguments: Any) -> Iterato
     try:
         reader = _idle[os.getpid()].pop()
         answer = reader.ask(request)
-    except (LookupError, _StoppedError):  # an earlier file may have damaged its memory
+    except (LookupError, _StoppedError):  # an earlier file may have corrupted the process
         reader = _Reader()
         answer = reader.ask(request)
 
@@ -92,7 +92,7 @@ def opened(function: Callable[..., Any], path: Path, *arguments: Any) -> Iterato
 
 
 class _StoppedError(DamagedError):
-    """A library has ended the process that reads a file."""
+    """A library has terminated the process that reads a file."""
 
 
 class _Reader:
@@ -130,14 +130,14 @@ class _Reader:
         return answer
 
     def close(self) -> None:
-        """Close the file, and keep the process for others."""
+        """Close the file, and keep the process for other files."""
         if self._process.returncode is None:
             with suppress(AnisomapError):
                 self.ask({"close": True})
                 _idle.setdefault(os.getpid(), []).append(self)
 
     def stop(self) -> None:
-        """End the process, and remove its files."""
+        """Terminate the process, and remove its files."""
         self._process.kill()
         self._process.wait()
         with suppress(OSError):
@@ -162,12 +162,12 @@ class _Reader:
 
 
 _idle: dict[int, list[_Reader]] = {}
-"""Processes without a file, by the process that has started them: others are forked from it."""
+"""Idle reader processes, by the process that started them; forked processes start their own."""
 
 
 @atexit.register
 def stop_all() -> None:
-    """End the processes that wait for files."""
+    """Terminate idle reader processes."""
     for reader in _idle.pop(os.getpid(), []):
         reader.stop()
 
@@ -180,7 +180,7 @@ def _too_large(request: dict[str, Any]) -> str:
 
 
 def _value(answer: dict[str, Any]) -> Any:
-    """Return what was asked for; give the warnings, and raise the error, of the other process."""
+    """Return the result in an answer; repeat warnings and raise errors of the other process."""
     for text in answer["warnings"]:
         warnings.warn(text, AnisomapWarning, stacklevel=2)
     if "error" not in answer:
@@ -234,7 +234,7 @@ def _send(stream: Any, answer: dict[str, Any]) -> None:
 
 def serve() -> None:
     """Answer the requests on standard input, in the other process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that asks is interrupted, too
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the requesting process is interrupted, too
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries print there
     logging.disable()
@@ -261,14 +261,14 @@ def serve() -> None:
             caught.clear()
             faulthandler.cancel_dump_traceback_later()
             _send(answers, {**answer, "warnings": texts})
-    shutil.rmtree(sys.argv[1], ignore_errors=True)  # the process that asked has ended
+    shutil.rmtree(sys.argv[1], ignore_errors=True)  # the requesting process has ended
 
 
 def _description(error: Exception) -> dict[str, Any]:
     if not isinstance(error, AnisomapError):
         return {"ends": True, "error": "", "message": traceback.format_exc()}
     return {
-        "ends": isinstance(error.__cause__, MemoryError),  # libraries are in any state then
+        "ends": isinstance(error.__cause__, MemoryError),  # the state of libraries is undefined
         "error": type(error).__name__,
         "message": str(error),
         "facts": vars(error),
@@ -277,7 +277,7 @@ def _description(error: Exception) -> dict[str, Any]:
 
 
 def _parts(request: dict[str, Any]) -> Generator[Any, None, None]:
-    """Yield what a function reads."""
+    """Yield the results of a function that reads a file."""
     if request["folder"]:
         os.chdir(request["folder"])
     try:
@@ -296,7 +296,7 @@ def _parts(request: dict[str, Any]) -> Generator[Any, None, None]:
 
 
 def _is_damage(error: Exception) -> bool:
-    """Return whether a library raised an error, or a value of a file; others are defects."""
+    """Return whether a library or a value in a file caused an error; other errors are defects."""
     place = error.__traceback__
     while place is not None and place.tb_next is not None:
         place = place.tb_next
@@ -305,7 +305,7 @@ def _is_damage(error: Exception) -> bool:
 
 
 def _limit(memory: int, seconds: int) -> None:
-    """Limit this process to so much more memory and processor time than it has used."""
+    """Limit additional memory and processor time of this process."""
     _allowed[0] = _memory_used() + memory
     if sys.platform != "win32":
         used = resource.getrusage(resource.RUSAGE_SELF)
@@ -335,7 +335,7 @@ def _memory_used() -> int:
 
 
 def _watch() -> None:
-    """End this process where the system does not limit memory."""
+    """Terminate this process at its limit of memory, on systems without such limits."""
     while _memory_used() < _allowed[0]:
         time.sleep(_WATCH_S)
     os._exit(_OUT_OF_MEMORY)

@@ -59,7 +59,7 @@ from anisomap.recording import Recording
 
 ALL_PAIRS, SMALLEST, DIRECT = "all pairs", "smallest connected graph", "no shortest paths"
 NEIGHBOURS = (4, 6, 8, 12)
-"""Numbers of neighbours of other graphs."""
+"""Numbers of neighbours in alternative graphs."""
 
 _ABLATION_COLUMNS = {
     "run": SCORE_COLUMNS["run"],
@@ -114,7 +114,7 @@ _N_FAILING = 4
 
 
 def failure_rows(settings: Settings, runs: Iterable[tuple[int, Recording, int]]) -> Iterator[Row]:
-    """Let sensors of the patch fail in turn; compare with the same runs without a failure."""
+    """Let each sensor of the patch fail in turn; compare with equal runs without a failure."""
     rng = np.random.default_rng(settings.seed)
     for number, sound, _seed in runs:
         names = np.array(sound.names)[sound.varying()]
@@ -129,7 +129,7 @@ def failure_rows(settings: Settings, runs: Iterable[tuple[int, Recording, int]])
 
 
 def _failure(recording: Recording, sensor: int, settings: Settings) -> tuple[float, float]:
-    """Return Mantel r of the other sensors, and the isolation of one."""
+    """Return Mantel r of all other sensors, and the isolation of a sensor."""
     name = recording.names[sensor]
     made, found = map_and_score(recording, "r-anisomap", 2, exclude=[name], mu=settings.mu)
     placed = np.flatnonzero(made.placed)
@@ -171,7 +171,7 @@ def _patch_name(dimensions: int) -> str:
 
 
 def patch_tables(settings: Settings, n_runs: int) -> Iterator[Table]:
-    """Score all maps of the simulated patch without the failing sensor, and its failures."""
+    """Score all maps of the simulated patch without the failing sensor, and failures in turn."""
     rows: dict[str, list[Row]] = {"scores": [], "ablations": [], "pairs": [], "failures": []}
     for _number, run, seed in patch_runs(settings, n_runs=n_runs):
         rows["scores"] += score_rows(

@@ -36,7 +36,7 @@ ROUNDNESS_COLUMNS = {
 def _maps_of_bodies(
     name: str, title: str, bodies: tuple[str, ...], method: str, settings: Settings
 ) -> Picture:
-    """Draw the true positions of bombarded bodies, and below them their maps by one method."""
+    """Draw the true positions of bombarded bodies, and below these the maps by one method."""
     truths, maps, seeds = [], [], {}
     for case in map(Case, bodies):
         seeds[case.body] = settings.picked_seed(case.name)
@@ -104,7 +104,7 @@ for _number, _body in (("S1", "cylinder"), ("S2", "plane"), ("S3", "y-shape"), (
     needs=("runs-cylinder-locomotion", "runs-cylinder-bombardment"),
 )
 def figure_4(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
-    """Draw the rolling cylinder; measure its axial compression, and that of the bombarded one."""
+    """Draw the rolling cylinder; measure the axial compression when it rolls or is bombarded."""
     rolling = Case("cylinder", "locomotion")
     yield _maps_by_all_methods("figure-4", "Figure 4. Cylinder", rolling, settings)
     rows: list[Row] = []
@@ -126,7 +126,7 @@ def figure_4(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
     needs=tuple(f"runs-{case.name}" for case in BOMBARDED),
 )
 def figure_7(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
-    """Draw maps by information distance; measure how spherical all maps are."""
+    """Draw maps by information distance; measure the sphericity of all maps."""
     title = "Figure 7. Maps by information distance (bottom) and true positions (top)"
     bodies = ("cylinder", "y-shape", "plane")
     yield _maps_of_bodies("figure-7", title, bodies, "information-distance", settings)
@@ -144,7 +144,7 @@ def _scores(tables: Tables, case: Case) -> list[Mapping[str, Any]]:
     return [row for row in rows if row["bins"] == DEFAULT_BINS]
 
 
-_MAX_FRAMES = 400  # enough to find a frame with many contacts
+_MAX_FRAMES = 400  # sufficient for a frame with many contacts
 
 
 @experiment(

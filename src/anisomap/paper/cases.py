@@ -23,7 +23,7 @@ from anisomap.simulation.bodies import CYLINDER_LENGTH, CYLINDER_RADIUS
 from anisomap.simulation.body import Body
 
 METHODS = PAPER_METHODS
-"""In the order of all figures and tables."""
+"""The paper's methods in the order of all figures and tables."""
 
 _LENGTH, _SPAN, _RANDOM = "cylinder.length", "patch.mean_span", "sphere.random"
 _USUAL_SPAN, _MEAN_GAP = 20.0, 100.0  # frames
@@ -45,7 +45,7 @@ OPEN: Mapping[str, str] = MappingProxyType(
         },
     }
 )
-"""What the paper leaves open, by the names that `Settings.changes` takes."""
+"""Settings that the paper does not specify, by the names in `Settings.changes`."""
 
 
 def parse_changes(texts: Iterable[str]) -> tuple[tuple[str, float], ...]:
@@ -68,7 +68,7 @@ def parse_changes(texts: Iterable[str]) -> tuple[tuple[str, float], ...]:
 class Case:
     """A body and a scenario: keys of `anisomap.simulation.BODIES` and `SCENARIOS`.
 
-    n_sensors: If not that of the body.
+    n_sensors: Number of sensors if it is not the default of the body.
     """
 
     body: str
@@ -103,7 +103,7 @@ class Case:
             for key, value in settings.chosen.items()
             if key.startswith(f"{self.scenario}.")
         }
-        if "correlation" in found:  # smaller bumps have finer cells, and are less high
+        if "correlation" in found:  # smaller bumps have finer cells and less height
             usual, longest = LocomotionOptions(), found["correlation"]
             found = {
                 "cell": min(usual.cell, longest / 2),
@@ -132,7 +132,7 @@ def _shape(name: str, n_sensors: int | None, stretched: float, is_random: bool) 
     return replace(body, positions=body.positions * [1, 1, stretched], solids=[solid])
 
 
-@lru_cache(maxsize=16)  # several experiments of one worker use the same runs
+@lru_cache(maxsize=16)  # several experiments of a worker use the same runs
 def _simulated(
     body: Body, scenario: str, n_frames: int, seed: int, chosen: tuple[tuple[str, Any], ...]
 ) -> Recording:
@@ -147,7 +147,7 @@ PATCH_FRAMES = (1120, 1054, 1487, 2128, 2105)
 """Frames of the paper's five hardware runs."""
 
 PATCH_RUNS = range(1, len(PATCH_FRAMES) + 1)
-"""Runs of the paper, which figures show; claims take more, of the same lengths."""
+"""Runs of the paper, shown in figures; claims use more runs, of the same lengths."""
 
 _FAILED_RUNS = PATCH_RUNS[3:]
 
@@ -173,12 +173,12 @@ def dead(recording: Recording, sensors: Sequence[str]) -> Recording:
 def saturating(
     recording: Recording, sensor: str, rng: np.random.Generator, mean_span: float
 ) -> Recording:
-    """Set a sensor to full scale, the highest reading of all, for spans of frames.
+    """Set a sensor to full scale, i.e. the highest reading of all sensors, for spans of frames.
 
     Gaps and spans are geometrically distributed; the paper gives no lengths.
     """
     readings = np.array(recording.readings)
-    # A gap and a span take at least two frames together, so this number fills the recording.
+    # A gap and a span take at least two frames together, so this number suffices.
     shape = (len(readings) // 2 + 1, 2)
     edges = rng.geometric([1 / _MEAN_GAP, 1 / mean_span], shape).cumsum().reshape(shape)
     (column,) = recording.indices([sensor])
@@ -192,7 +192,7 @@ def patch_run(
 ) -> Recording:
     """Simulate a run of the hardware patch.
 
-    fails: Whether a sensor fails; by default in the runs in which the paper's sensor did.
+    fails: Whether a sensor fails; by default as in the runs of the paper.
     """
     seed, of_paper = patch_seed(settings, number), (number - 1) % len(PATCH_FRAMES) + 1
     frames = PATCH_FRAMES[of_paper - 1]
@@ -218,16 +218,16 @@ def patch_runs(
 
 
 REAL_RECORDING = "icub_hexagon.npz"
-"""File of real skin of the same kind."""
+"""File of a recording of real skin of the same kind."""
 
 
 def real_recording(settings: Settings) -> Recording:
-    """Read real skin from the folder of recordings."""
+    """Read the recording of real skin from the folder of recordings."""
     return io.read((settings.recordings or Path()) / REAL_RECORDING)
 
 
 def true_positions(recording: Recording, dimensions: int = 3) -> NDArray[np.float64]:
-    """Return the true positions, shape (N, dimensions); coordinates that they lack are 0."""
+    """Return the true positions, shape (N, dimensions); missing coordinates are 0."""
     if recording.positions is None:
         raise ValueError(f"{recording.source} has no true positions")
     lacking = max(0, dimensions - recording.positions.shape[1])

@@ -1,24 +1,24 @@
 """The paper's testable claims: one table of sentences, statistics, cases and ranges.
 
 Statistics, cases and ranges were frozen before settings were chosen on seeds 1 and 2, and before
-seeds from 31 on had been run. Earlier tests asked five sentences for what they do not say:
+seeds from 31 on had been run. Earlier tests required more than five sentences claim:
 
-- *Notably worse* in 3D: the limit was .02 of Mantel r, where information distance, which the
-  sentence is about, loses .17. It is now .05, as elsewhere.
-- *Far better than random guessing*: .5 above the largest of the permutations asks for a Mantel r of
-  .65, which contradicts *relatively poor* on the rolling cylinder. The paper's figure shows scores
-  above all permutations, so each run has to exceed all of its own.
-- *Qualitatively similar results* with other bins: the largest change of single runs counts their
-  scatter, too. The mean signed change has to lie within .05 of 0.
-- *More likely to identify*: a gain of .05 in the share identified cannot be had where r identifies
-  96 %. The area under the ROC curve has no such ceiling at one threshold.
-- *High distance-correlation corresponds*: within a case, scores hardly vary, which hides any
-  correlation. All maps are taken together.
+- *Notably worse* in 3D: the limit was .02 of Mantel r, while information distance, the subject of
+  the sentence, loses .17. It is now .05, as for other claims.
+- *Far better than random guessing*: .5 above the largest of the permutations required a Mantel r of
+  .65, which contradicts *relatively poor* on the rolling cylinder. Scores in the paper's figure
+  are above all permutations, so each run must now exceed all of its permutations.
+- *Qualitatively similar results* with other bins: the largest change of single runs includes random
+  variation. The mean signed change must now be within .05 of 0.
+- *More likely to identify*: a gain of .05 in the share identified is impossible where r identifies
+  96 %. The area under the ROC curve does not have this ceiling of a single threshold.
+- *High distance-correlation corresponds*: scores hardly vary within a case, which hides any
+  correlation. All maps are now combined.
 
-Runs of the patch with sensors that fail in turn count as one value each: sensors of a run share its
-contacts. A claim holds if all of its cases do, so the error is controlled over them (Holm 1979,
-Scandinavian Journal of Statistics 6: 65-70). That needs small p-values, which resampling five or
-ten runs cannot give: means have Student's intervals.
+Each run of the patch with sensors that fail in turn counts as one value, since the contacts of a
+run are common to its sensors. A claim holds if all of its cases hold, so the error is controlled
+over the cases (Holm 1979, Scandinavian Journal of Statistics 6: 65-70). This requires smaller
+p-values than resampling of five or ten runs can give: means have Student's intervals.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ LARGE = 0.5  # a correlation that is large by the convention of Cohen (1988)
 ISOLATED = 2.0  # ratio of distances to the nearest sensor
 
 OWN, EXTENSION = "the paper's own cases", "extensions"
-"""Scopes of cases. Extensions are what the paper does not have: real skin that a thumb touched, and
-graphs of more neighbours than connect all sensors."""
+"""Scopes of cases. Extensions are absent from the paper: real skin touched by a thumb, and graphs
+with more neighbours than necessary to connect all sensors."""
 
 REPRODUCED, NOT_REPRODUCED = "reproduced", "not reproduced"
 PARTLY, UNCLEAR, EXCLUDED = "partly reproduced", "not clear", "at chance"
@@ -66,13 +66,13 @@ _ALL, _WITH_REAL = "all maps", "all maps and real skin"
 
 
 def scope_of(case: str) -> str:
-    """Whether the paper has a case."""
+    """Return the scope of a case."""
     return EXTENSION if "real skin" in case or case.endswith(_LARGER_GRAPHS) else OWN
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The tables of the experiments that the claims are checked against; some may be absent."""
+    """Tables of the experiments against which claims are checked; some may be absent."""
 
     tables: Tables
 
@@ -90,7 +90,7 @@ class Evidence:
         return _by_method([r for r in self._scores if r["bins"] == bins], value, METHODS)
 
     def seen(self, value: str = "mantel_r") -> dict[str, dict[str, Runs]]:
-        """Return a score of the maps that exceed their null distribution; NaN of others."""
+        """Return a score of the maps that exceed their null distribution; NaN for other maps."""
         found, r, null = self.scores(value), self.scores(), self.scores("null_max")
         return {
             run: {m: np.where(r[run][m] > null[run][m], each, np.nan) for m, each in of_run.items()}
@@ -98,13 +98,13 @@ class Evidence:
         }
 
     def rolling(self, found: Mapping[str, Mapping[str, Runs]]) -> list[tuple[str, Runs, Runs]]:
-        """Return scores of the rolling and of the bombarded cylinder, for each method."""
+        """Return scores of the rolling and of the bombarded cylinder for each method."""
         if _ROLLING not in found or _BOMBARDED not in found:
             return []
         return [(m, found[_ROLLING][m], found[_BOMBARDED][m]) for m in found[_ROLLING]]
 
     def drops(self, methods: Sequence[str]) -> dict[str, Runs]:
-        """Return how much Mantel r is lower in 3D than in 2D, on flat skins."""
+        """Return the decrease of Mantel r from 2D to 3D on flat skins."""
         found = self.seen()
         return {
             f"{m} on {skin}": found[in_2d][m] - found[in_3d][m]
@@ -114,13 +114,13 @@ class Evidence:
         }
 
     def failures(self, value: Callable[[Mapping[str, Any]], float]) -> dict[str, Runs]:
-        """Return a value of the sensors that fail in turn, averaged in each run."""
+        """Return a value of the failing sensors, averaged over each run."""
         rows = [{"run": row["run"], "value": value(row)} for row in self._rows("failures")]
         found = mean_by(rows, "run", "value")
         return {"runs of the patch": np.array([*found.values()])} if found else {}
 
     def information(self) -> dict[str, Runs]:
-        """Return Mantel r of the ANISOMAP methods, but on the rolling cylinder."""
+        """Return Mantel r of the ANISOMAP methods, except on the rolling cylinder."""
         return {
             f"{m} on {run}": found[m]
             for run, found in self.scores().items()
@@ -133,11 +133,11 @@ class Evidence:
         return _by_method(self._rows("pairs"), value, METHODS[:2])
 
     def axial(self) -> dict[str, Runs]:
-        """Return how much more often similar sensors share a line if the cylinder rolls."""
+        """Return the increase by rolling of the share of similar sensors on one line."""
         return {m: rolling - other for m, rolling, other in self.rolling(self.pairs("axial"))}
 
     def needs(self) -> dict[str, Runs]:
-        """Return how much more mutual information loses by few frames than r."""
+        """Return the loss by few frames of mutual information minus the loss of r."""
         whole = self.scores()
         return {
             run: (whole[run]["i-anisomap"] - few["i-anisomap"])
@@ -147,7 +147,7 @@ class Evidence:
         }
 
     def gains(self, *ablations: str) -> dict[str, Runs]:
-        """Return the gain of r-ANISOMAP over variants of it."""
+        """Return the gain of r-ANISOMAP over variants."""
         rows = self._rows("ablations")
         found = _by_method(rows, "mantel_r", (ALL_PAIRS, *ablations), "edges")
         return {
@@ -168,7 +168,7 @@ class Evidence:
         }
 
     def spherised(self) -> dict[str, Runs]:
-        """Return by how much information distance maps bodies more like a sphere than others."""
+        """Return the sphericity of maps by information distance minus that by other methods."""
         found = self.seen("sphericity")
         spherised = METHODS[2]
         return {
@@ -180,7 +180,7 @@ class Evidence:
         }
 
     def identified(self) -> dict[str, Runs]:
-        """Return the gain by mutual information in sensors of unlike response."""
+        """Return the gain by mutual information for sensors of unlike response."""
         rows = self._rows("responses")
         claimed = [r for r in rows if (r["optimum"], r["noise"]) == (MEDIAN, CLAIMED_NOISE)]
         found = _by_method(claimed, "area", METHODS[:2])
@@ -210,7 +210,7 @@ def _by_method(
 
 
 def _lead(found: Mapping[str, Runs], methods: Sequence[str]) -> Runs:
-    """Best value of some methods minus the best of the others, by run."""
+    """Return the best value of some methods minus the best of all other methods, by run."""
     best, rest = (
         np.max([found[m] for m in METHODS if (m in methods) == inside], axis=0)
         for inside in (True, False)
@@ -219,7 +219,7 @@ def _lead(found: Mapping[str, Runs], methods: Sequence[str]) -> Runs:
 
 
 def _rank_correlations(samples: Runs) -> Runs:
-    """Correlate the ranks of two values in each of some samples, (B, S, methods, 2) -> (B,)."""
+    """Correlate the ranks of two values in each sample, (B, S, methods, 2) -> (B,)."""
     ranks = rankdata(samples.reshape(len(samples), -1, 2), axis=1)
     ranks -= ranks.mean(axis=1, keepdims=True)
     products = np.einsum("bni,bnj->bij", ranks, ranks)
@@ -228,7 +228,7 @@ def _rank_correlations(samples: Runs) -> Runs:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a case shows: an estimate, and whether it holds; None if it is not clear."""
+    """Result of a case: an estimate, and whether the case holds; None if it is not clear."""
 
     estimate: Estimate
     holds: bool | None
@@ -243,12 +243,12 @@ class Claim:
     """A claim of the paper and its check.
 
     where: Section or figure of the paper.
-    statistic: What is measured in each run of a case.
+    statistic: The quantity measured in each run of a case.
     cases: ``cases(evidence)`` returns the values of the runs of each case.
-    above, below: A case holds if its statistic lies between them and differs from both, and is
-        refuted if it lies outside and differs from the nearer one; otherwise it is not clear.
+    above, below: A case holds if its statistic lies between these bounds and differs from both. It
+        is refuted if it lies outside and differs from the nearer bound; otherwise it is not clear.
     every: A case holds only if every run lies on the claimed side, and is refuted otherwise.
-    summary: Statistic of the runs of a case, if not the mean; see `estimate`.
+    summary: Statistic over the runs of a case, if it is not the mean; see `estimate`.
     """
 
     text: str
@@ -261,7 +261,7 @@ class Claim:
     summary: Callable[[Runs], Runs] | None = None
 
     def check(self, evidence: Evidence) -> dict[str, Finding | None]:
-        """Judge all cases, with the error controlled over those of a scope."""
+        """Judge all cases, with the error controlled over the cases of each scope."""
         estimates: dict[str, Estimate | None] = {}
         for case, runs in self.cases(evidence).items():
             known = runs[np.isfinite(runs).reshape(len(runs), -1).all(axis=1)]
@@ -287,12 +287,12 @@ class Claim:
         return self.above < value < self.below
 
     def _p_value(self, found: Estimate) -> float:
-        """p-value of lying on the other side of a bound than the estimate."""
+        """Return the p-value of a true value on the other side of a bound than the estimate."""
         p_values = [found.p_value(b) for b in (self.above, self.below) if math.isfinite(b)]
         return max(p_values) if self._inside(found.value) else min(p_values)
 
     def verdict(self, findings: Findings) -> str:
-        """Whether the claim is reproduced, not reproduced, or in which cases it is not."""
+        """Text: the claim is reproduced, not reproduced, or not reproduced in some cases."""
         held = {case: found.holds for case, found in findings.items() if found is not None}
         good, bad, unclear = (
             [case for case, each in held.items() if each is kind] for kind in (True, False, None)
@@ -589,6 +589,6 @@ def _cells(found: Finding | None) -> Row:
 
 
 def _picked(rows: list[Row]) -> list[Row]:
-    """Return all rows of few, or the lowest and the highest by their value."""
+    """Return all rows if they are few; otherwise the rows with the lowest and highest values."""
     known = sorted((row for row in rows if row[-1] != EXCLUDED), key=lambda row: row[3])
     return rows if len(rows) <= _MAX_LISTED else [*known[:2], *known[-2:]]

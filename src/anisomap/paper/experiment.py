@@ -1,4 +1,4 @@
-"""Experiments: their settings, their inputs and what they yield."""
+"""Experiments: settings, inputs and results."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ INFERRED: Mapping[str, float] = MappingProxyType(
         "patch.mean_span": 100,
     }
 )
-"""Settings that obey the paper's sentences, with the most cases that hold on seeds 1 and 2, see
-`anisomap.paper.sensitivity`; others have the defaults of `anisomap.simulation`."""
+"""Settings that agree with the paper's sentences and maximise the number of cases that hold on
+seeds 1 and 2, see `anisomap.paper.sensitivity`; all other settings are defaults."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Settings:
     seed: First seed of each scenario; at least 0.
     quick: Use fewer frames, seeds and permutations, for previews.
     recordings: Folder of real recordings; experiments that need an absent recording are skipped.
-    inferred, changes: Values of what the paper leaves open, by name, see
-        `anisomap.paper.cases.OPEN`; changes come first.
+    inferred, changes: Values of settings in `anisomap.paper.cases.OPEN`, by name; changes take
+        precedence.
     """
 
     seed: int = 1
@@ -56,11 +56,11 @@ class Settings:
 
     @property
     def chosen(self) -> dict[str, float]:
-        """What the paper leaves open, where it differs from the defaults of the simulator."""
+        """Values of open settings that differ from the defaults of the simulator."""
         return dict(self.inferred) | dict(self.changes)
 
     def value(self, name: str, default: float) -> float:
-        """Return the value of what the paper leaves open."""
+        """Return the value of a setting that the paper leaves open."""
         return self.chosen.get(name, default)
 
     @property
@@ -80,7 +80,7 @@ class Settings:
 
     @property
     def few_seeds(self) -> tuple[int, ...]:
-        """Seeds at each combination of settings."""
+        """Seeds for each combination of settings."""
         return self.seeds[: 1 if self.quick else 2]
 
     @property
@@ -149,7 +149,7 @@ Tables: TypeAlias = Mapping[str, Table]
 
 
 def joined(tables: Tables, names: Iterable[str], name: str = "", caption: str = "") -> Table:
-    """Join the tables that exist, of the same columns, to one that the page only links to."""
+    """Join the existing tables, with equal columns, to a table that the page only links to."""
     parts = [tables[one] for one in names if one in tables]
     rows = [row for part in parts for row in part.rows]
     return Table(name, caption, parts[0].columns if parts else {}, rows, shown=False)
@@ -160,16 +160,16 @@ Compute: TypeAlias = Callable[[Settings, Tables], Iterable[Result]]
 
 @dataclass(frozen=True)
 class Experiment:
-    """A figure, table or text of the paper, and how it is computed.
+    """A figure, table or text of the paper, and its computation.
 
     name: Unique; also the name of its folder.
-    compute: ``compute(settings, tables)`` yields the results; `tables` holds the tables of the
-        experiments in `needs`, without those that were skipped.
+    compute: ``compute(settings, tables)`` yields the results; `tables` contains the tables of the
+        experiments in `needs`, except skipped ones.
     title: Heading on the page; empty for experiments that only provide data to others.
     description: Paragraphs shown on the page, separated by blank lines.
-    needs: Names of experiments that must run first, which need none themselves.
-    files: Real recordings that are read from `Settings.recordings`. If one is absent, the
-        experiment is skipped.
+    needs: Names of experiments that must run first; these do not need any.
+    files: Real recordings in `Settings.recordings` that are read. If one is absent, the experiment
+        is skipped.
     absent: Text shown on the page if the experiment is skipped.
     cost: Approximate duration in seconds; the longest experiments start first.
     """
@@ -184,7 +184,7 @@ class Experiment:
     cost: float = field(default=1.0, compare=False)
 
     def paths(self, settings: Settings) -> list[Path]:
-        """Return the paths of the real recordings that are read; [] without a folder of them."""
+        """Return the paths of the real recordings to read; [] without a folder of recordings."""
         return [] if settings.recordings is None else [settings.recordings / f for f in self.files]
 
     def can_run(self, settings: Settings) -> bool:

@@ -1,4 +1,4 @@
-"""Maps of the runs by all methods, their scores, and what these show over runs."""
+"""Maps of the runs by all methods, scores, and estimates of statistics over runs."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
 MORE_BINS = (6, 8)
-"""Other numbers of bins that the paper tried."""
+"""Other numbers of bins in the paper."""
 
 SMACOF = SmacofOptions(solver="majorization")
-"""The paper's algorithm, which its methods take."""
+"""The paper's algorithm for its methods."""
 
 _WHISKER = 1.5  # interquartile ranges, as in the paper's Figure 3
 
 
 def similarity_of(recording: Recording, method: str, bins: int = DEFAULT_BINS) -> Reals:
-    """Compute the similarity of all sensors by a method of the paper, (N, N); constant ones: 0."""
+    """Compute the similarity of sensors by a method of the paper, (N, N); 0 if constant."""
     varying = recording.varying()
     readings = recording.readings[:, varying]
     found = pearson(readings) if method == "r-anisomap" else mutual_information(readings, bins)
@@ -92,7 +92,7 @@ def draw_run(
     methods: Iterable[str] = METHODS,
     labels: Mapping[int, str] | None = None,
 ) -> tuple[list[Panel], list[ScoredMap]]:
-    """Draw the true positions, and beside them the maps by all methods, in each dimension.
+    """Draw the true positions, and the maps by all methods, in each number of dimensions.
 
     labels: Labels of sensors that are left out of the scores.
     """
@@ -171,8 +171,8 @@ def score_rows(
 ) -> Iterator[Row]:
     """Score every method on a recording; yield rows of `SCORE_COLUMNS`.
 
-    Methods that bin readings are also scored with the numbers of bins in `more_bins`, without a
-    null distribution.
+    Methods with bins are also scored with the numbers of bins in `more_bins`, without a null
+    distribution.
 
     name: Returns the name of the run for a number of dimensions.
     """
@@ -208,7 +208,7 @@ def score_rows(
 
 
 def stopped(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Count the scalings of score rows that stopped before they converged, by method."""
+    """Count the scalings in score rows that did not converge, by method."""
     counts = Counter(r["method"] for r in rows if r["iterations"] >= SMACOF.max_iterations)
     return ", ".join(f"{method} {count}" for method, count in counts.items()) or "none"
 
@@ -232,18 +232,18 @@ def _null_cells(mantel: Mantel) -> Row:
     return (low, first, median, third, high, float(null.max()), z, outliers)
 
 
-_ERROR = 0.05  # of an interval, and of all cases of a claim together
+_ERROR = 0.05  # probability of error of an interval, and of all cases of a claim together
 _RESAMPLES = 1000
 
 Runs: TypeAlias = NDArray[np.float64]
-"""A value of each run, (S, ...), in the same order for all methods; NaN if its map is at chance."""
+"""A value of each run, (S, ...), in the same order for all methods; NaN if a map is at chance."""
 
 
 @dataclass(frozen=True)
 class Estimate:
     """A statistic over runs with its interval, or the range of the runs.
 
-    error: Standard error; 0 of a single run.
+    error: Standard error; 0 for a single run.
     """
 
     value: float
@@ -253,16 +253,16 @@ class Estimate:
     n_runs: int = 1
 
     def p_value(self, bound: float) -> float:
-        """Two-sided p-value of a bound; 0 of a single run, which has no error."""
+        """Two-sided p-value of a bound; 0 for a single run, which has no error."""
         if not self.error:
             return 0.0
         return float(2 * t.sf(abs(self.value - bound) / self.error, self.n_runs - 1))
 
 
 def estimate(runs: Runs, statistic: Callable[[Runs], Runs] | None = None) -> Estimate:
-    """Estimate the mean of runs, or another statistic by resampling them. runs (S, ...).
+    """Estimate the mean of runs, or another statistic by resampling of runs. runs (S, ...).
 
-    statistic: Takes samples of runs, (B, S, ...), and returns a value of each, (B,).
+    statistic: Takes samples of runs, (B, S, ...), and returns a value for each sample, (B,).
     """
     n_runs = len(runs)
     if statistic is None:

@@ -1,4 +1,4 @@
-"""Figures 2 and S5 to S10: the hexagonal patch, simulated and real; its failing sensor."""
+"""Figures 2 and S5 to S10: the hexagonal patch, simulated and real, and the failing sensor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from anisomap.paper.cases import (
 from anisomap.paper.experiment import Picture, Settings, Table, Tables, experiment
 from anisomap.paper.map_scores import SCORE_COLUMNS, draw_run
 
-_LABELS = {30: "30"}  # sensors that are numbered in figures, and left out of scores
+_LABELS = {30: "30"}  # sensors with numbers in figures, left out of scores
 _NOTE = (
     "Six triangles of twelve pads each, rubbed by a hand; one triangle (rings) is silent in all "
     f"runs. Sensor 30 ({FAILING}, square) saturates intermittently from run 4 on. It is included "

@@ -1,4 +1,4 @@
-"""The reach of a contact against the contacts of each sensor: which method maps which skin."""
+"""Scores of methods by the reach of contacts and the number of contacts of each sensor."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ COMPARED = (*METHODS, DEFAULT_METHOD)
 REACHES = (0.8, 0.9, 1.0, 1.15, 1.3, 1.6, 2.0, 3.0)  # in spacings
 CONTACTS = (10, 30, 100, 300)  # of each sensor
 _BODIES = (("sphere", 60), ("cylinder", 60), ("plane", 64))
-_MARGIN = 0.5  # of the plane around its sensors, in spacings
+_MARGIN = 0.5  # between the outer sensors and the edge of the plane, in spacings
 _HALF = 0.808  # distance of two discs of radius 1 that share half of their area
 _BIN = 0.25  # width of bins of distances, in spacings
 _RECORDINGS = ("icub_hexagon", "icub_palm", "icub_torso", "plantar")
-_LONGEST = 8000  # frames of a real recording that are mapped, evenly chosen
+_LONGEST = 8000  # maximum frames of a real recording for a map, evenly chosen
 _DEFAULT_LOOK = MethodLook("the default", "#000000", "v")
 
 _SCORES = {
@@ -61,9 +61,9 @@ PLACE_COLUMNS = {
 
 
 def touch(body: Body, reach: float, contacts: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Simulate readings of random contacts, (T, N), one at a time in the mean, without physics.
+    """Simulate readings of random contacts, (T, N), without physics; on average one at a time.
 
-    reach: in spacings; contacts: of each sensor.
+    reach: In spacings. contacts: Number for each sensor.
     """
     far = reach * body.spacing
     share = float((cdist(_places(body, 4000, rng), body.positions) < far).mean())
@@ -76,7 +76,7 @@ def touch(body: Body, reach: float, contacts: int, rng: np.random.Generator) -> 
 
 
 def _places(body: Body, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw places evenly on the side of the body that has sensors, (n, 3)."""
+    """Draw places evenly on the side of the body with sensors, (n, 3)."""
     low, high = body.positions.min(axis=0), body.positions.max(axis=0)
     if body.name == "sphere":
         places = rng.standard_normal((n, 3))
@@ -92,9 +92,9 @@ def _places(body: Body, n: int, rng: np.random.Generator) -> NDArray[np.float64]
 def reach_of(active: NDArray[np.bool_], positions: NDArray[np.float64]) -> float:
     """Estimate the reach of contacts in spacings. active (T, N), positions (N, k).
 
-    The chance that a sensor is touched with another falls with their distance from 1 to that of
-    far sensors. It is halfway there where two discs of the radius of the reach share half of their
-    area, however many contacts there are at a time.
+    The probability that a sensor is touched with another decreases with their distance, from 1 to
+    the value of far sensors. It is halfway at the distance at which two discs of the radius of the
+    reach share half of their area, for any number of simultaneous contacts.
     """
     on = active.astype(np.float64)
     together = on.T @ on
@@ -115,7 +115,7 @@ def reach_of(active: NDArray[np.bool_], positions: NDArray[np.float64]) -> float
 
 
 def _score(recording: Recording, dimensions: int) -> dict[str, float]:
-    """Return Mantel r by method; NaN where too few contacts give no map of all sensors."""
+    """Return Mantel r by method; NaN if contacts are too few for a map of all sensors."""
     truth, found = true_positions(recording, dimensions), {}
     for method in COMPARED:
         found[method] = float("nan")
@@ -142,7 +142,7 @@ def _score(recording: Recording, dimensions: int) -> dict[str, float]:
     cost=1500,
 )
 def reach_diagram(settings: Settings, _: Tables) -> Iterator[Picture | Table]:
-    """Score all methods over reach and contacts, and find where real recordings lie."""
+    """Score all methods by reach and contacts, and locate real recordings in the diagram."""
     step = 3 if settings.quick else 1
     reaches, all_contacts = REACHES[::step], CONTACTS[::step]
     rows: list[Row] = []

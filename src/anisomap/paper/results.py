@@ -1,8 +1,8 @@
-"""Results of experiments on disk, and the page that shows them.
+"""Results of experiments on disk, and the page of results.
 
 Each experiment has a folder with its figures (PNG and SVG), tables (CSV), texts, and a record
 (JSON) with captions, a digest of every file and a fingerprint of its inputs. A result is valid
-while fingerprint and digests match: the folder is its own cache, and nothing in it is executed.
+while fingerprint and digests match: the folder is a cache, and its contents are never executed.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ PAGE = "index.html"
 RECORD = "record.json"
 FIGURE_FORMATS = ("png", "svg")
 MAX_ROWS = 60
-"""Rows of a table on the page; longer tables are only linked."""
+"""Maximum rows of a table on the page; longer tables are only linked."""
 
 
 def save(folder: Path, name: str, found: Iterable[Result], inputs: str, seconds: float) -> None:
-    """Write the result of an experiment, and its record last."""
+    """Write the result of an experiment; the record is written last."""
     target = folder / name
     record: dict[str, Any] = {"fingerprint": inputs, "seconds": seconds}
     record |= {kind: [] for kind in ("pictures", "documents", "tables")}
@@ -64,7 +64,7 @@ def save(folder: Path, name: str, found: Iterable[Result], inputs: str, seconds:
 
 
 def load(folder: Path, name: str, inputs: str) -> dict[str, Any] | None:
-    """Read the record of an experiment, with its tables, if it is valid."""
+    """Read the record of an experiment with its tables; None if it is not valid."""
     try:
         record: dict[str, Any] = json.loads((folder / name / RECORD).read_text(encoding="utf-8"))
         damaged = (
@@ -80,7 +80,7 @@ def load(folder: Path, name: str, inputs: str) -> dict[str, Any] | None:
 
 
 def to_csv(table: Table) -> str:
-    """Write a table as CSV; floats with six significant digits."""
+    """Format a table as CSV; floats have six significant digits."""
     buffer = io.StringIO()
     lines = csv.writer(buffer, lineterminator="\n")
     lines.writerow(table.columns)
@@ -132,14 +132,14 @@ def write_page(
 
 
 def _cell_text(value: Cell) -> str:
-    """Format a cell of a table; floats with three significant digits."""
+    """Format a cell of a table; floats have three significant digits."""
     if isinstance(value, float):
         return "\N{EN DASH}" if math.isnan(value) else f"{value:.3g}"
     return f"{value:,}" if isinstance(value, int) and value >= 10_000 else str(value)
 
 
 def _numeric_columns(table: Table) -> list[bool]:
-    """Whether each column holds numbers only."""
+    """Return whether each column contains only numbers."""
     return [
         all(not isinstance(row[i], str) for row in table.rows) for i in range(len(table.columns))
     ]

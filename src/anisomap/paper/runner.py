@@ -1,4 +1,4 @@
-"""All experiments, in the order of the page, and their runs: in parallel, each at most once."""
+"""All experiments, in the order of the page; they run in parallel, each at most once."""
 
 from __future__ import annotations
 
@@ -41,22 +41,22 @@ _PAGE_ORDER = (
     "text-s3",
     "ablations",
 )
-"""The first experiments with a section on the page; the others follow as they are defined."""
+"""The first experiments with a section on the page; all others follow in order of definition."""
 
 EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType(
     {name: REGISTRY[name] for name in (*_PAGE_ORDER, *REGISTRY)}
 )
-"""By name, which is also the name of the folder of its results."""
+"""Experiments by name, which is also the name of the folder of results."""
 
-_WATCH_S = 1.0  # between two looks of a worker at whether its parent is alive
+_WATCH_S = 1.0  # interval of checks of a worker that its parent is alive
 
 
 @dataclass(frozen=True)
 class Status:
     """State of an experiment after a run.
 
-    seconds: Duration of the experiment when it was computed.
-    state: Skipped experiments lack a recording.
+    seconds: Duration of the computation of the experiment.
+    state: Experiments that lack a recording are skipped.
     """
 
     name: str
@@ -108,7 +108,7 @@ def reproduce(
         parallel = Parallel(
             n_jobs=min(cpu_count(), max(1, len(level))),
             batch_size=1,
-            pre_dispatch="n_jobs",  # after an interruption, nothing more is begun
+            pre_dispatch="n_jobs",  # start no more experiments after an interruption
             return_as="generator_unordered",
         )
         for name, seconds in parallel(
@@ -128,7 +128,7 @@ def _check(settings: Settings) -> None:
 
 
 def _with_needs(names: Iterable[str], experiments: Mapping[str, Experiment]) -> list[Experiment]:
-    """Return experiments in an order in which each follows those that it needs."""
+    """Return experiments, with the experiments that each needs before it."""
     chosen = list(names)
     for name in chosen:
         if name not in experiments:
@@ -146,7 +146,7 @@ def _run(
     needed = [load(folder, name, prints[name]) for name in experiment.needs if name in prints]
     tables = {table.name: table for result in needed if result for table in result["tables"]}
     with threadpool_limits(1), warnings.catch_warnings():
-        # Notes on single maps would be repeated for hundreds of maps; the tables hold the scores.
+        # Notes would be repeated for hundreds of maps; the tables contain the scores.
         warnings.simplefilter("ignore", AnisomapWarning)
         found = [*experiment.compute(settings, tables)]
         seconds = round(time.perf_counter() - started, 2)
@@ -156,7 +156,7 @@ def _run(
 
 @cache
 def _end_with(parent: int) -> None:
-    """End this process, if it is a worker, soon after its parent has ended, even by a kill."""
+    """End this process, if it is a worker, soon after its parent has ended for any reason."""
 
     def watch() -> None:
         while os.getppid() == parent:  # on Windows always: workers end when they are idle
@@ -168,7 +168,7 @@ def _end_with(parent: int) -> None:
 
 
 def _fingerprint(experiment: Experiment, settings: Settings, needed: Mapping[str, str]) -> str:
-    """Digest everything that the result of an experiment depends on."""
+    """Digest all inputs of the result of an experiment."""
     inputs = (
         experiment.name,
         (settings.seed, settings.quick, sorted(settings.changes)),

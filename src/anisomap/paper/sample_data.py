@@ -68,11 +68,11 @@ def proof(_: Settings, __: Tables) -> Iterator[Document]:
 
 
 def _document(number: int, what: str, seed: int, recording: Recording, rows: list[Row]) -> Document:
-    """Write a recording as text with its positions, and add a row on it."""
+    """Write a recording with positions as text, and add a row about it."""
     name = f"data-s{number}.txt"
     rows.append((name, what, seed, recording.n_frames, recording.n_sensors))
     with TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # distances along the surface are left out
+        warnings.simplefilter("ignore", AnisomapWarning)  # surface distances are left out
         path = Path(folder) / "data.tsv"
         io.write(recording, path)
         text = path.read_text(encoding="utf-8")

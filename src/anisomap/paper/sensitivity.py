@@ -1,4 +1,4 @@
-"""What the paper leaves open: which of its statements hold at which settings."""
+"""Sensitivity of the paper's statements to settings that the paper does not specify."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from anisomap.paper.experiment import Picture, Row, Settings, Table, Tables, by,
 
 _RADIUS = "detection_radius"
 
-# What the paper's sentences ask of the settings, in numbers that were chosen here:
+# Numeric bounds for the paper's sentences about settings, chosen here:
 SPARSE = 2 / 3
 """Share of zeros of each run: "most of the signals essentially vanish most of the time"."""
 SHORT, SMALL = 0.35, 0.2
@@ -31,7 +31,7 @@ Point = tuple[tuple[str, float], ...]
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that share settings, and the points at which they are made."""
+    """Runs with common settings, and the points of settings at which they are simulated."""
 
     name: str
     cases: tuple[Case, ...]
@@ -39,7 +39,7 @@ class Group:
 
 
 def _points(*names: str, values: Sequence[tuple[float, ...]]) -> tuple[Point, ...]:
-    """Combine names and values of settings; the last settings may be absent."""
+    """Combine names and values of settings; values of the last settings may be absent."""
     return tuple(tuple(zip(names, each, strict=False)) for each in values)
 
 
@@ -86,7 +86,7 @@ def _label(point: Point) -> str:
 
 
 def obeys(point: Point, zeros: float) -> bool:
-    """Whether settings, and the share of zeros that they give, are what the paper says."""
+    """Return whether settings, and the resulting share of zeros, agree with the paper."""
     values = {name.partition(".")[2]: value for name, value in point}
     is_local = values.get(_RADIUS, 0) <= SHORT and values.get("ball_radius", 0) <= SMALL
     return is_local and zeros >= SPARSE
@@ -107,7 +107,7 @@ def count_rows(group: Group, point: Point, tables: Tables) -> Iterator[Row]:
 
 
 def _explore(group: Group, number: int, settings: Settings, _: Tables) -> Iterator[Table]:
-    """Check all claims at a point, of previews at the first; too few contacts give no rows."""
+    """Check all claims at a point, in previews at the first; too few contacts give no rows."""
     point, seeds = group.points[number], settings.few_seeds
     tables: dict[str, Table] = {}
     changed = replace(settings, changes=(*settings.changes, *point))
@@ -155,7 +155,7 @@ for _group in GROUPS:
     needs=tuple(f"settings-{one.name}-{n}" for one in GROUPS for n in range(len(one.points))),
 )
 def settings_map(settings: Settings, tables: Tables) -> Iterator[Picture | Table]:
-    """Draw which statements hold at which settings."""
+    """Draw the statements that hold at each setting."""
     seeds = settings.few_seeds
     caption = (
         f"Cases of each claim that hold, among those that can be judged (seeds {seeds[0]} to "

@@ -17,17 +17,17 @@ _EQUAL = 1e-6  # largest difference of coordinates on one line of a lattice, in 
 
 
 def sphericity(positions: ArrayLike) -> float:
-    """Measure how much nearer sensors lie to the best sphere than to the best plane.
+    """Measure how much nearer sensors are to the best sphere than to the best plane.
 
-    positions (N, 3). RMS distance from the plane minus that from the sphere, both of least squares,
-    relative to the RMS distance from the centroid, and scaled so that a whole sphere has 1. A plane
-    has 0, as it is a sphere without end.
+    positions (N, 3). RMS distance from the least-squares plane minus RMS distance from the
+    least-squares sphere, relative to the RMS distance from the centroid, and scaled to 1 for a
+    whole sphere. It is 0 for a plane, which is a sphere of infinite radius.
     """
     points = np.asarray(positions, dtype=np.float64)
     points = points - points.mean(axis=0)
     points /= np.sqrt(np.mean(np.sum(points**2, axis=1)))
     from_plane = np.linalg.svd(points, compute_uv=False)[-1] / np.sqrt(len(points))
-    # |x|^2 = 2 c.x + k is linear in the centre c and k; it starts the search for the distances.
+    # |x|^2 = 2 c.x + k is linear in the centre c and k; the solution is the start of the search.
     design = np.column_stack([2 * points, np.ones(len(points))])
     centre = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)[0][:3]
 
@@ -42,8 +42,8 @@ def sphericity(positions: ArrayLike) -> float:
 class CylinderShape(NamedTuple):
     """Shape and topology of a map of a cylinder with sensors on lines parallel to its axis.
 
-    All are 1 if correct; `SCORE_COLUMNS` describes them. Scales do not depend on the alignment,
-    except the axial scale; orders do not depend on the scale along the axis.
+    All values are 1 if the map is correct; see `SCORE_COLUMNS`. Scales except the axial scale do
+    not depend on the alignment; orders do not depend on the scale along the axis.
     """
 
     axial_scale: float
@@ -53,7 +53,7 @@ class CylinderShape(NamedTuple):
 
 
 def cylinder_shape(positions: ArrayLike, truth: ArrayLike) -> CylinderShape:
-    """Measure what the paper's Figure 4 shows. positions (N, 3), truth (N, 3)."""
+    """Measure the properties shown in the paper's Figure 4. positions (N, 3), truth (N, 3)."""
     points, true = np.asarray(positions, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     true = true - true.mean(axis=0)
     aligned = align(points, true).aligned
@@ -77,7 +77,7 @@ def cylinder_shape(positions: ArrayLike, truth: ArrayLike) -> CylinderShape:
 
 
 def _order(points: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Correlate the ranks of distances, in which ties are exact; 0 if all points coincide."""
+    """Correlate the ranks of distances; ties must be exact; 0 if all points coincide."""
     found = [pdist(each) for each in (points, truth)]
     if not found[0].any():
         return 0.0
@@ -85,7 +85,7 @@ def _order(points: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
 
 
 def _neighbour_ratio(points: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
-    """Divide the mean distance of axial neighbours by that of circumferential neighbours."""
+    """Return the ratio of mean distances of axial and of circumferential neighbours."""
     axial = _mean_step(points, truth[:, :2], truth[:, 2:])
     return axial / _mean_step(points, truth[:, 2:], truth[:, :2])
 
@@ -93,7 +93,7 @@ def _neighbour_ratio(points: NDArray[np.float64], truth: NDArray[np.float64]) ->
 def _mean_step(
     points: NDArray[np.float64], same: NDArray[np.float64], other: NDArray[np.float64]
 ) -> float:
-    """Mean distance of points that are equal in `same` and nearest neighbours in `other`."""
+    """Return the mean distance of points with equal `same` that are neighbours in `other`."""
     apart = cdist(other, other)
     line = (cdist(same, same) < _EQUAL) & (apart > _EQUAL)
     nearest = line & (apart < np.min(apart, axis=1, where=line, initial=np.inf)[:, None] + _EQUAL)
@@ -101,7 +101,7 @@ def _mean_step(
 
 
 def isolation(positions: ArrayLike, sensor: int) -> float:
-    """Measure how far a sensor lies from all others on a map. positions (n, k)."""
+    """Measure the distance of a sensor from all others on a map. positions (n, k)."""
     points = np.asarray(positions, dtype=np.float64)
     nearest = nearest_distances(points)
     return float(nearest[sensor] / np.median(np.delete(nearest, sensor)))

@@ -1,4 +1,4 @@
-"""What similarities show about sensors of unlike response, and about near and far pairs."""
+"""Similarities of sensors of unlike response, and of near and far pairs."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from anisomap.paper.map_scores import map_and_score, similarity_of
 from anisomap.recording import Recording
 
 MEDIAN = 0.5
-"""Quantile of the contact readings at which the claim is tested: the middle of the response."""
+"""Quantile of the contact readings at which the claim is tested: the centre of the response."""
 
 CLAIMED_NOISE = 0.1
-"""Noise of each sensor with which the claim is tested."""
+"""Noise of each sensor in the test of the claim."""
 
 _TRIALS = ((0.25, 0.0), (MEDIAN, 0.0), (1.0, 0.0), (MEDIAN, CLAIMED_NOISE))  # quantile, noise
 _WIDTH = 0.5  # standard deviation of the basis function, relative to the optimum: 14 % at rest
@@ -67,7 +67,7 @@ def _in_contact(
 
 
 def response_rows(run: str, recording: Recording, seed: int, mu: float) -> Iterator[Row]:
-    """Identify equal quantities, and map a skin with both kinds of sensors."""
+    """Identify sensors of equal quantities, and map a skin with both kinds of sensors."""
     rng, n_sensors = np.random.default_rng(seed), recording.n_sensors
     chosen = rng.permutation(n_sensors) < n_sensors // 2
     for quantile, noise in _TRIALS:
@@ -109,7 +109,7 @@ PAIR_COLUMNS = {
 def pair_rows(
     run: str, recording: Recording, seed: int, dimensions: int, mu: float
 ) -> Iterator[Row]:
-    """Measure what similarities show about pairs; yield rows of `PAIR_COLUMNS`."""
+    """Compare similarities with distances of pairs; yield rows of `PAIR_COLUMNS`."""
     varying = recording.select(recording.varying())
     truth = true_positions(varying, dimensions)
     distances = pdist(truth)
@@ -119,7 +119,7 @@ def pair_rows(
         unlike = squareform(regularised_reciprocal(similarity, mu), checks=False)
         is_short = unlike < np.median(unlike)
         near, far = (
-            # Equal dissimilarities, those of all pairs with r below 0, tell nothing.
+            # Dissimilarities of all pairs with r below 0 are equal, and give no correlation.
             spearmanr(unlike[half], distances[half]).statistic if np.ptp(unlike[half]) else 0.0
             for half in (is_short, ~is_short)
         )
@@ -136,6 +136,6 @@ def pair_rows(
             axial = float(np.take_along_axis(line, best, axis=1).mean())
         try:
             r = map_and_score(few, method, dimensions, mu=mu).score.mantel.r
-        except InputError:  # too few contacts for any map
+        except InputError:  # too few contacts for a map
             r = np.nan
         yield (run, seed, method, r, unrelated, axial, float(near - far))

@@ -1,6 +1,6 @@
 """Simulated recordings with known sensor positions: bodies, scenarios and readings.
 
-Running a simulation needs the extra ``simulation`` (MuJoCo); importing the package does not.
+Running a simulation requires the extra ``simulation`` (MuJoCo); importing the package does not.
 """
 
 from anisomap.simulation.bodies import BODIES as BODIES

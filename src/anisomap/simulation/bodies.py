@@ -1,14 +1,14 @@
-"""The named bodies: those of the paper, with sensors on lattices, and harder ones.
+"""The named bodies: bodies of the paper, with sensors on lattices, and more difficult ones.
 
 To add a body, add one function and one line to `BODIES`. All functions raise InputError if
 `n_sensors` is not a positive integer or does not fit the lattice. Positions are reproducible.
 
 The first four are the simulated bodies of McGregor et al. (2011), section "Geometries" and Figure
-5. The paper gives no lengths; those here, in m, give each body a reach of about 1 m. The hexagon is
-the hardware patch of six IIT triangles, each with 12 capacitive pads, two of which are thermal and
-not used as sensors (Maiolino et al. 2013, "A flexible and robust large scale capacitive tactile
-system for robots", IEEE Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149). The
-sensors of the others are a maximal Poisson-disc sample of the surface; their lengths were chosen by
+5. The paper gives no lengths; lengths here, in m, give each body a reach of about 1 m. The hexagon
+is the hardware patch of six IIT triangles, each with 12 capacitive pads, two of which are thermal
+and not used as sensors (Maiolino et al. 2013, "A flexible and robust large scale capacitive tactile
+system for robots", IEEE Sensors Journal 13(10): 3910-3917, doi:10.1109/JSEN.2013.2258149). On all
+other bodies, the sensors are a maximal Poisson-disc sample of the surface; lengths were chosen by
 hand.
 """
 
@@ -50,7 +50,7 @@ def sphere(n_sensors: int = 60) -> Body:
     """Make a sphere with evenly spaced sensors.
 
     Sensors form a Fibonacci lattice (Gonzalez 2010, Mathematical Geosciences 42: 49-64,
-    doi:10.1007/s11004-009-9257-x): each represents the same area, and distances between
+    doi:10.1007/s11004-009-9257-x): each sensor represents the same area, and distances between
     neighbours differ by a few per cent.
     """
     COUNT.check("n_sensors", n_sensors)
@@ -156,7 +156,7 @@ def _divided(n_sensors: int, groups: int, meaning: str) -> int:
 
 
 _TRIANGLES = 6
-_APEX_MM = 18.6  # from the middle of a triangle, with edges of 32.2 mm, to its corner
+_APEX_MM = 18.6  # from the centre of a triangle, with edges of 32.2 mm, to a corner
 _MARGIN_MM = 8.0  # between the outer pads and the edge of the patch; chosen by hand
 _THICKNESS_MM = 5.0  # chosen by hand
 _MM = 1e-3
@@ -165,14 +165,14 @@ _MM = 1e-3
 def hexagon(n_sensors: int = 60) -> Body:
     """Make a hexagonal patch of six triangles.
 
-    With 60 sensors, the two pads of each triangle that measure temperature are none; with 72, all
-    twelve are, as the paper counts.
+    With 60 sensors, the two thermal pads of each triangle are excluded; with 72, all twelve pads
+    are sensors, as in the paper.
     """
     sensing = {60: [*TACTILE], 72: [*range(len(PADS))]}.get(n_sensors)
     if sensing is None:
         raise InputError(f"n_sensors of the hexagonal patch must be 60 or 72, got {n_sensors}")
     names = [f"t{i}p{pad}" for i in range(_TRIANGLES) for pad in sensing]
-    # Each triangle has a corner in the middle of the patch.
+    # Each triangle has a corner at the centre of the patch.
     triangle = PADS - [0, _APEX_MM]
     angles = np.arange(_TRIANGLES) * np.pi / 3
     turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
@@ -209,7 +209,7 @@ def hand(n_sensors: int = 160) -> Body:
 
 
 def covered(name: str, parts: Sequence[Solid], n_sensors: int, on: Chosen | None = None) -> Body:
-    """Make a body from solids and spread sensors over it, where a function says so."""
+    """Make a body from solids, and spread sensors over points that a function accepts."""
     COUNT.check("n_sensors", n_sensors)
     positions, normals = spread(parts, n_sensors, np.random.default_rng(_SEED), on)
     return Body(name, positions, normals, parts)
@@ -231,8 +231,8 @@ def body_from_points(
     Returns
     -------
     Body
-        A union of balls, each of which touches the surface at one sensor from below; normals are
-        estimated from nearby sensors. Where the skin is not concave the balls overlap, and
+        A union of balls, each of which touches the surface from below at one sensor; normals are
+        estimated from nearby sensors. Where the skin is not concave, the balls overlap and
         approximate the unknown surface.
 
     Raises
@@ -245,7 +245,7 @@ def body_from_points(
         raise InputError(f"positions must have shape (N, 3) with N at least 4, got {places.shape}")
     spacing = nearest_distances(places)
     if spacing.min() <= 0:
-        # Distances, as the difference of two positions may be too small for its square.
+        # Distances are compared, since squares of small differences may underflow.
         distances = np.linalg.norm(places - places[int(spacing.argmin())], axis=1)
         first, second = np.argsort(distances, kind="stable")[:2]
         raise InputError(f"positions must be distinct; sensors {first} and {second} coincide")

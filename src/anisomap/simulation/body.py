@@ -42,18 +42,18 @@ class Body(Immutable):
     normals : array_like of shape (N, 3)
         Outward unit normals of the surface at the sensors.
     solids : sequence of Solid
-        The body is their union, with its middle near the origin.
+        The body is the union of the solids, with its centre near the origin.
     names : tuple of str, optional
         Unique name of each sensor. Default: ``s0, s1, ...``.
     units : str
         Unit of all lengths.
     origin : array_like of shape (3,)
-        Position of the body's origin in the user's frame, in which recordings give positions.
+        Position of the body's origin in the user's frame, which is the frame of recordings.
     is_whole : bool
         Whether the solids also represent the surface between the sensors.
     geodesic : callable, optional
-        Function of positions (N, 3) that returns their distances along the surface (N, N), if
-        there is a closed form. Otherwise, see `surface_distances`.
+        Function of positions (N, 3) that returns distances along the surface (N, N), if there is a
+        closed form. Otherwise, see `surface_distances`.
 
     Raises
     ------
@@ -121,10 +121,10 @@ class Body(Immutable):
         """Geodesic distances between the sensors, shape (N, N).
 
         None if the surface between the sensors is unknown (`body_from_points`). Symmetric; inf
-        between disconnected parts. Exact where the body has a closed form. Otherwise, lengths of
-        shortest paths on a graph of surface points, joined to their neighbours unless the straight
-        line leaves the surface; within 4 % of the truth on spheres, cylinders and plates, and
-        mostly within 1 %. Reproducible.
+        between disconnected parts. Exact if the body has a closed form. Otherwise, lengths of
+        shortest paths on a graph of surface points; neighbours are joined unless the straight line
+        leaves the surface. Errors are at most 4 %, mostly below 1 %, on spheres, cylinders and
+        plates. Reproducible.
         """
         if not self.is_whole:
             return None
@@ -163,7 +163,7 @@ def straight_lines(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 _SEED = 0
 _N_SAMPLES = 6000
 _N_NEIGHBOURS = 100  # with fewer, zigzag paths are a few per cent longer
-_MAX_SAG = 0.15  # x chord: largest distance of the middle of an edge from the surface
+_MAX_SAG = 0.15  # x chord: largest distance of the midpoint of an edge from the surface
 _MIN_FACING = -0.5  # cosine between the normals at the ends of an edge
 
 
@@ -173,13 +173,13 @@ def _shortest_paths(body: Body) -> NDArray[np.float64]:
     points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, drawn_normals])
     lengths, neighbours = nearest_others(points, _N_NEIGHBOURS)
     edges = np.column_stack([np.repeat(np.arange(len(points)), _N_NEIGHBOURS), neighbours.ravel()])
-    chord = np.maximum(lengths.ravel(), 1e-12 * body.reach)  # scipy reads a stored 0 as no edge
+    chord = np.maximum(lengths.ravel(), 1e-12 * body.reach)  # scipy treats a stored 0 as no edge
     directions = np.diff(points[edges], axis=1)[:, 0]
     turn = np.einsum("hd,hd->h", np.diff(normals[edges], axis=1)[:, 0], directions)
     # An arc that turns by an angle a is longer than its chord by the factor 1 + a^2 / 24.
     arc = chord * (1 + (turn / chord) ** 2 / 24)
-    # Edges follow the surface, and do not pass through air or across a thin plate: around a corner
-    # of 90 degrees, but not to the other face.
+    # Edges follow the surface, including corners of 90 degrees. They do not pass through air or
+    # through a thin plate.
     start, end = edges.T
     similar = np.einsum("hd,hd->h", normals[start], normals[end]) > _MIN_FACING
     middle = (points[start] + points[end]) / 2
@@ -187,7 +187,7 @@ def _shortest_paths(body: Body) -> NDArray[np.float64]:
     sag = np.abs(np.einsum("hd,hd->h", middle - points[nearest], normals[nearest]))
     gap = 3 * float(np.median(nearest_distances(points)))
     valid = similar & (sag <= _MAX_SAG * chord) & (distance <= _MAX_SAG * chord + gap)
-    ends = edges[valid].T.astype(np.int32)  # scipy 1.14 takes no others
+    ends = edges[valid].T.astype(np.int32)  # scipy 1.14 requires int32
     graph = coo_array((arc[valid], tuple(ends)), shape=(len(points), len(points)))
     found = dijkstra(graph.tocsr(), directed=False, indices=np.arange(body.n_sensors))
     between = found[:, : body.n_sensors]

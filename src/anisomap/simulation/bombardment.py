@@ -35,11 +35,11 @@ from anisomap.simulation.options import (
 from anisomap.simulation.physics import add_geom, add_solid, load_mujoco, new_model
 
 ENERGY_TOLERANCE = 0.02
-"""Relative change of energy above which a run is returned with a warning."""
+"""Maximum relative change of energy of a run without a warning."""
 
 _LEMNISCATE = 2.6220575542921198  # duration of a contact with a cubic spring, x depth / speed
 _WIDTH = 3  # x softness: the depth of a ball nine times as fast as `speed`
-# Impedance rises linearly with depth. The first is the least that MuJoCo allows.
+# Impedance increases linearly with depth. The first value is the minimum in MuJoCo.
 _IMPEDANCE_AT_SURFACE, _IMPEDANCE_INSIDE = 0.0001, 0.01
 _STEPS_PER_CONTACT = 16
 _MIN_STEPS_PER_CONTACT = 10  # energy varies by 0.2 % over 2,000 frames with 10, by 14 % with 7
@@ -109,9 +109,9 @@ class BombardmentOptions(PhysicsOptions):
         """Parameters of contacts in MuJoCo, with the force of a cubic spring and no friction.
 
         With an impedance (see "Solver parameters" in MuJoCo's documentation) near 1, a ball that
-        touches two objects at once can gain energy, for any step; with one near 0, forces add up.
-        The impedance rises from there with depth x, so that the acceleration, ``stiffness
-        (x / width)^2 x``, starts smoothly: else, the integrator's error depends on the phase.
+        touches two objects simultaneously can gain energy, for any step; near 0, forces add up. The
+        impedance increases from 0 with depth x, so that the acceleration, ``stiffness (x / width)^2
+        x``, starts smoothly: otherwise, the integrator's error depends on the phase.
         """
         width = _WIDTH * self.softness
         stiffness = 2 * (self.speed * width / self.softness**2) ** 2
@@ -135,9 +135,9 @@ class BombardmentOptions(PhysicsOptions):
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Flight of the balls from the initial state on.
+    """Flight of the balls from the initial state.
 
-    centres (T, B, 3): Centres of the balls. energies (T,): Kinetic, and stored in contacts.
+    centres (T, B, 3): Centres of the balls. energies (T,): Kinetic energy plus energy in contacts.
     overlaps (T,): Depth of the deepest contact; 0 without contacts.
     """
 
@@ -147,7 +147,7 @@ class Flight:
 
     @property
     def energy_drift(self) -> float:
-        """Largest relative deviation from the first energy, in tenths of the run: it oscillates."""
+        """Largest relative deviation from the first energy, of means over tenths of the run."""
         tenths = np.array_split(self.energies, min(10, self.energies.size))
         return max(abs(float(tenth.mean()) / float(self.energies[0]) - 1) for tenth in tenths)
 
@@ -214,7 +214,7 @@ def simulate_flight(
             mujoco.mj_step(model, data, nstep=options.steps_per_frame)
         mujoco.mj_forward(model, data)
         flight.centres[frame] = data.qpos.reshape(-1, 3)
-        # The energy stored in contacts of cubic springs, of which efc_pos is minus the depth.
+        # The energy stored in contacts of cubic springs; efc_pos is minus the depth.
         stored = -data.efc_force @ data.efc_pos / 4
         velocities = data.qvel + options.step / 2 * data.qacc
         flight.energies[frame] = velocities @ velocities / 2 + stored

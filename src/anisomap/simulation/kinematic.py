@@ -1,13 +1,13 @@
-"""Rubbing: a scenario without physics, of a hand that follows strokes over the skin.
+"""Rubbing: a scenario without physics; a hand follows strokes over the skin.
 
 It models the hardware experiment of McGregor et al. (2011), section "Experimental Data": "an
 irregular rubbing motion ... circular and linear motions in various directions pressing the palm of
 the hand against the skin patch". Its runs had 1,054 to 2,128 frames.
 
-Readings are in closed form, in single precision: its seven digits exceed the resolution of real
-sensors. The pads of the palm move together in contact with the body; pressure varies slowly, and
-some strokes end with the palm lifted off and set down elsewhere. Parameters without a source were
-chosen by hand.
+Readings are in closed form, in single precision, whose seven digits exceed the resolution of real
+sensors. The pads of the palm move together in contact with the body. Pressure varies slowly. After
+some strokes, the palm is lifted off and set down elsewhere. Parameters without a source were chosen
+by hand.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _MAX_HOLE = 4.0  # x median gap between surface points: larger than any gap of a
 _MAX_STEP = 0.02  # x reach
 _MIN_TARGET_DISTANCE = 0.2  # x stroke length
 _AIM_SPREAD = 0.3  # standard deviation of the direction of a stroke, in rad
-_MAX_FAILURES = 3  # strokes in a row that leave the skin at once
+_MAX_FAILURES = 3  # successive strokes that leave the skin immediately
 _MIN_SLOPE = 0.1  # sine of the angle between heading and normal; smaller at steep walls
 _LINE_LENGTH = (0.5, 1.5)  # x stroke length
 _CIRCLE_RADIUS = (0.15, 0.35)  # x stroke length
@@ -96,8 +96,8 @@ class StrokeOptions(ScenarioOptions):
 class Skin:
     """A body and a dense sample of its surface: points and normals (P, 3), sensors first.
 
-    covered: Indices of the points that belong to the skin: no further from their nearest sensor
-        than its neighbours are, and with a similar normal.
+    covered: Indices of the points that belong to the skin: no further from the nearest sensor than
+        the neighbours of this sensor are, and with a similar normal.
     """
 
     body: Body
@@ -110,7 +110,7 @@ class Skin:
 class StrokePath:
     """A path over the skin.
 
-    points, normals, headings (T, 3): On the surface; the unit normals, and directions of motion.
+    points, normals, headings (T, 3): Points on the surface, unit normals, directions of motion.
     lifts (T,): Height above the skin, from 0 (in contact) to 1, where the position jumps.
     presses (T,): Pressure from 0 to 1, continuous in time.
     """
@@ -136,7 +136,7 @@ class StrokePath:
 
 
 def sample_skin(body: Body, rng: np.random.Generator) -> Skin:
-    """Sample the surface of a body and find the part that is covered by sensors."""
+    """Sample the surface of a body, and find the part covered by sensors."""
     drawn, outward = sample_surface(body.solids, _N_SAMPLES, rng)
     points, normals = np.vstack([body.positions, drawn]), np.vstack([body.normals, outward])
     distance, sensor = map(np.asarray, KDTree(body.positions).query(points))
@@ -200,7 +200,7 @@ def smooth_random(n_frames: int, period: float, rng: np.random.Generator) -> NDA
 
 
 class _Walk:
-    """Skin and visit counts of a walk. Its state is (point, heading, normal), shape (3, 3)."""
+    """Skin and visit counts of a walk. A state is (point, heading, normal), shape (3, 3)."""
 
     def __init__(self, skin: Skin, options: StrokeOptions, rng: np.random.Generator) -> None:
         self._body, self._options, self._rng = skin.body, options, rng
@@ -225,7 +225,7 @@ class _Walk:
         return np.array([self._body.positions[sensor], heading, normal])
 
     def draw_stroke(self, state: Points, max_frames: int) -> list[Points]:
-        """Draw the states of one stroke, which ends early if it leaves the skin."""
+        """Draw the states of a stroke; it ends early if it leaves the skin."""
         rng, length, stride = self._rng, self._options.stroke_length, self._stride
         if rng.random() < self._options.circle_share:
             radius = length * rng.uniform(*_CIRCLE_RADIUS)
@@ -245,7 +245,7 @@ class _Walk:
         return frames
 
     def _aim(self, state: Points) -> Points:
-        """Draw a direction, roughly towards the least visited sensor within a stroke; (3,)."""
+        """Draw a direction, roughly to the least visited sensor within a stroke length; (3,)."""
         (point, _, normal), rng, sensors = state, self._rng, self._body.positions
         length = self._options.stroke_length
         distance = np.linalg.norm(sensors - point, axis=1)
@@ -295,7 +295,7 @@ def rotate_about(
 
 
 def placed(path: StrokePath, offsets: Points, heights: NDArray[np.float64]) -> Points:
-    """Return the middle of each ball at heights (T,) above a path; (T, B, 3)."""
+    """Return the centre of each ball at heights (T,) above a path; (T, B, 3)."""
     middle = path.points + heights[:, None] * path.normals
     return np.asarray(middle[:, None] + offsets)
 
@@ -309,7 +309,7 @@ def settle(
 ) -> NDArray[np.float64]:
     """Lower balls that move together along the normals of a path until they touch the body.
 
-    offsets (T, B, 3): Middles of the balls relative to the point of the path, in each frame.
+    offsets (T, B, 3): Centres of the balls relative to the point of the path, in each frame.
     radii (B,), depths (T,) -> heights (T,).
     """
     surface = KDTree(skin.points)
@@ -334,7 +334,7 @@ def settle(
 def _required_rise(
     offsets: Points, radii: NDArray[np.float64], points: Points, normal: Points, depth: float
 ) -> float:
-    """Return the rise at which balls rest on points given relative to their middle."""
+    """Return the rise at which balls rest on points, which are relative to the centres."""
     from_middle = points[:, None] - offsets
     up = from_middle @ normal
     across = from_middle - up[..., None] * normal
@@ -405,7 +405,7 @@ class RubbingOptions(StrokeOptions):
 
 
 class Palm:
-    """A central soft pad surrounded by others of irregular size and position, on a skin.
+    """A central soft pad surrounded by pads of irregular size and position, on a skin.
 
     centres (P, 3), radii (P,): Balls that form the pads, with the skin at z = 0.
     """
@@ -449,7 +449,7 @@ def rubbing(
 
 
 class GuidedHand:
-    """A palm that rubs a body in bouts, each of them where it is told."""
+    """A palm that rubs a body in bouts, each at given places."""
 
     def __init__(self, body: Body, options: RubbingOptions, rng: np.random.Generator) -> None:
         self._body, self._sensing = body, options.detection_radius
@@ -458,7 +458,7 @@ class GuidedHand:
     def rub(
         self, n_frames: int, sensors: Collection[int] = (), contacts: NDArray[np.intp] | None = None
     ) -> NDArray[np.float32]:
-        """Rub for some frames. Returns (n_frames, N)."""
+        """Rub for `n_frames` frames. Returns (n_frames, N)."""
         visits = np.zeros(self._body.n_sensors)
         if contacts is not None:
             visits += contacts

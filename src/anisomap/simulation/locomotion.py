@@ -44,7 +44,7 @@ _MAX_STEEPNESS = 0.35  # roughness / correlation length; on steeper ground the b
 _SETTLING_TIME = 1.0  # s
 _MOVING_SPEED = 0.1  # x set speed
 _MIN_HALF_WIDTH = 4.0  # x reach
-# Limits beyond which a run is returned with a warning. A cylinder stops briefly to reverse.
+# Limits for runs without a warning. A cylinder stops briefly to reverse.
 _MAX_MEDIAN_SLIP, _MIN_SHARE_MOVING = 0.1, 0.9
 
 
@@ -52,7 +52,7 @@ _MAX_MEDIAN_SLIP, _MIN_SHARE_MOVING = 0.1, 0.9
 class Terrain(Immutable):
     """Solid ground with heights on a square grid.
 
-    heights (n, n): Rows go along y, columns along x. The middle of the grid is above the origin.
+    heights (n, n): Rows are along y, columns along x. The centre of the grid is above the origin.
     cell: Grid spacing.
     """
 
@@ -61,7 +61,7 @@ class Terrain(Immutable):
 
     @property
     def half_width(self) -> float:
-        """Distance from the middle to each edge."""
+        """Distance from the centre to each edge."""
         return self.cell * (len(self.heights) - 1) / 2
 
     @cached_property
@@ -170,7 +170,7 @@ class LocomotionOptions(PhysicsOptions):
 class Driver:
     """Torque controller that rolls a body towards random goals at a set speed.
 
-    A cylinder rolls perpendicular to its axis, and turns slowly about the vertical meanwhile.
+    A cylinder rolls perpendicular to its axis while it slowly turns about the vertical.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class Driver:
         self._is_cylinder, self._radius = solid.kind == "cylinder", solid.size[0]
         self._model = _build_model(body, terrain, options)
         self._data = self._mujoco.MjData(self._model)
-        # On the highest ground below the body, in the middle.
+        # The body starts at the centre, on the highest ground below it.
         middle, cells = len(terrain.heights) // 2, math.ceil(body.reach / terrain.cell)
         below = slice(middle - cells, middle + cells + 1)
         self._data.qpos[2] = float(terrain.heights[below, below].max()) + self._radius
@@ -200,7 +200,7 @@ class Driver:
         data, options = self._data, self._options
         self._elapsed += options.step
         to_goal = self._goal - data.qpos[:2]
-        # A cylinder turns slowly; near the edge and moving outwards, it heads for the middle.
+        # A cylinder turns slowly; near the edge, it heads for the centre if it moves outwards.
         outward = self._sense * self._ahead() * np.sign(data.qpos[:2]) > 0
         beyond = np.abs(data.qpos[:2]) > self._goal_limit
         if self._is_cylinder and (outward & beyond).any():
@@ -215,7 +215,7 @@ class Driver:
         spin = np.array(data.cvel[1, :3])
         torque = self._gain * (self._target_spin(to_goal / np.hypot(*to_goal)) - spin)
         if self._is_cylinder:
-            # Drive along the axis and steer about the vertical; the ground determines the rest.
+            # Drive along the axis and steer about the vertical; the ground determines all else.
             axis = data.xmat[1].reshape(3, 3)[:, 2]
             torque = axis * (axis @ torque) + np.array([0, 0, torque[2]])
         data.xfrc_applied[1, 3:] = torque
@@ -229,7 +229,7 @@ class Driver:
         spin, velocity = np.array(data.cvel[1, :3]), np.array(data.qvel[:3])
         slip = math.nan
         if data.ncon:
-            deepest = data.contact.dist.argmin()  # it carries the load
+            deepest = data.contact.dist.argmin()  # this contact carries the load
             normal = data.contact.frame[deepest, :3]
             slide = velocity + np.cross(spin, data.contact.pos[deepest] - centre)
             slide -= (slide @ normal) * normal
@@ -244,12 +244,12 @@ class Driver:
     def _set_goal(self, goal: NDArray[np.float64]) -> None:
         self._goal = goal
         self._elapsed = 0.0
-        # A cylinder keeps rolling forwards or backwards until it has reached or passed its goal.
+        # A cylinder keeps its direction until it has reached or passed the goal.
         to_goal = self._goal - self._data.qpos[:2]
         self._sense = 1.0 if self._ahead() @ to_goal >= 0 else -1.0
 
     def _ahead(self) -> NDArray[np.float64]:
-        """Return the direction in which the body rolls when it spins about its own axis."""
+        """Return the rolling direction of the body for a spin about its axis."""
         # A body with spin a on the ground rolls along the cross product of a and the vertical.
         axis = self._data.xmat[1].reshape(3, 3)[:, 2]
         return np.array([axis[1], -axis[0]]) / max(float(np.hypot(axis[0], axis[1])), 1e-9)
@@ -281,7 +281,7 @@ class Journey:
     """Motion of a rolling body.
 
     centres (T, 3), rotations (T, 3, 3), speeds (T,): Motion of the body.
-    slips (T,): Speed of its surface at the contact, as a share of the set speed; NaN without one.
+    slips (T,): Surface speed at the contact, as a share of the set speed; NaN without contact.
     overlaps (T,): Depth of the body in the ground.
     """
 

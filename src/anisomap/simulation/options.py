@@ -1,4 +1,4 @@
-"""Options of scenarios, which validate themselves and scale with the body, and their results.
+"""Options of scenarios, with validation and scaling to the body, and results of scenarios.
 
 Documented defaults are for a sphere of 60 sensors with a radius of 1 m, spaced by 0.43 m.
 For other bodies, lengths scale with the reach or the sensor spacing of the body.
@@ -32,8 +32,8 @@ _ROUNDING = 1e-9  # relative error of scaled lengths
 def option(default: float | None, values: Range, unit: str = "", per: str = "") -> Any:
     """Declare an option with a default for a sphere of 1 m; None if other options determine it.
 
-    unit: In messages.
-    per: Length of the body with which the default scales: `REACH`, `SPACING` or none.
+    unit: Unit in messages.
+    per: Length of the body to which the default is proportional: `REACH`, `SPACING` or none.
     """
     return field(default=default, metadata={"values": values, "unit": unit, "per": per})
 
@@ -45,7 +45,7 @@ def positive(default: float | None, unit: str = "", per: str = "") -> Any:
 
 @dataclass(frozen=True)
 class ScenarioOptions:
-    """Base class of the options of a scenario, all of which are declared by `option`."""
+    """Base class of the options of a scenario; all options are declared by `option`."""
 
     frame_interval: float = positive(0.05, "s")
 
@@ -68,7 +68,7 @@ class ScenarioOptions:
 
 
 def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = None) -> Any:
-    """Create the options of a scenario, with defaults scaled to a body where none are given."""
+    """Create the options of a scenario; defaults are scaled to the body."""
     known = {entry.name: entry for entry in fields(kind)}
     for name in given or {}:
         if name not in known:
@@ -85,7 +85,7 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
 
 
 def parse_parameters(texts: Iterable[str]) -> dict[str, float]:
-    """Read texts ``NAME=VALUE``; values with digits only are whole numbers."""
+    """Parse texts ``NAME=VALUE``; values of digits only are whole numbers."""
     parsed: dict[str, float] = {}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -99,7 +99,7 @@ def parse_parameters(texts: Iterable[str]) -> dict[str, float]:
 
 
 def meanings_of(options: ScenarioOptions) -> dict[str, str]:
-    """Return what each option means, by name: documented ones first, inherited ones before own."""
+    """Return the meaning of each option by name; documented first, inherited before own options."""
     documented = {
         entry.arg_name: " ".join((entry.description or "").split())
         for kind in reversed(type(options).__mro__)
@@ -110,7 +110,7 @@ def meanings_of(options: ScenarioOptions) -> dict[str, str]:
 
 
 def count_steps(length: float, longest: float) -> int:
-    """Return the number of equal steps in a length, each at most `longest` but for rounding."""
+    """Return the number of equal steps in a length, each at most `longest` up to rounding."""
     return max(1, math.ceil(length / longest * (1 - 1e-12)))
 
 
@@ -143,7 +143,7 @@ def no_progress(share: float) -> None:
 
 
 def report_frames(n_frames: int, progress: Progress) -> Iterator[int]:
-    """Count frames, and report the share that is done about a hundred times."""
+    """Count frames, and report the completed share about a hundred times."""
     interval = max(1, n_frames // 100)
     for frame in range(n_frames):
         yield frame
@@ -208,7 +208,7 @@ class ScenarioResult:
     """Readings (T, N), and objects to draw, of one simulated run.
 
     facts: Measured quantities and effective parameters, in addition to the options.
-    sensors (T, N, 3): Positions of the sensors in each frame; by default, those on the body.
+    sensors (T, N, 3): Positions of the sensors in each frame; by default, positions on the body.
     """
 
     readings: NDArray[np.floating]

@@ -1,6 +1,6 @@
-"""Models of MuJoCo: solids and ground with contacts.
+"""MuJoCo models: solids and ground with contacts.
 
-Running a simulation needs MuJoCo; importing this module does not.
+Running a simulation requires MuJoCo; importing this module does not.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _logger = logging.getLogger(__name__)
 
 
 def load_mujoco() -> ModuleType:
-    """Import MuJoCo, whose warnings are logged instead of printed and written to a file."""
+    """Import MuJoCo; its warnings are logged instead of printed and written to a file."""
     mujoco: ModuleType = import_extra("mujoco", "simulating a recording", "simulation")
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda text: _logger.info("MuJoCo warns: %s", text))
@@ -40,7 +40,7 @@ def new_model(step: float, gravity: float, integrator: str) -> Any:
 
 
 def add_solid(spec: Any, solid: Solid, **contact: Any) -> None:
-    """Add a solid that does not move; a mesh as a flexible surface pinned to the world.
+    """Add a fixed solid; a mesh is added as a flexible surface pinned to the world.
 
     MuJoCo would replace a mesh geom by its convex hull.
     """
@@ -50,7 +50,7 @@ def add_solid(spec: Any, solid: Solid, **contact: Any) -> None:
         flex = spec.add_flex(name=name, dim=2, radius=thickness, vertbody=["world"], **contact)
         flex.vert, flex.elem = solid.outline.vertices.ravel(), solid.outline.faces.ravel()
     else:
-        rotation = Rotation.from_matrix(solid.rotation.copy())  # writable, as SciPy 1.15 asks
+        rotation = Rotation.from_matrix(solid.rotation.copy())  # SciPy 1.15 requires writable input
         turn = rotation.as_quat(scalar_first=True)
         add_geom(spec.worldbody, solid.kind, solid.size, pos=solid.centre, quat=turn, **contact)
 
@@ -62,7 +62,7 @@ def add_geom(body: Any, kind: str, size: tuple[float, ...], **options: Any) -> N
 
 
 def add_ground(spec: Any, heights: NDArray[np.float64], half_width: float, **contact: Any) -> None:
-    """Add ground that does not move. heights (n, n): rows go along y, columns along x."""
+    """Add fixed ground. heights (n, n): rows are along y, columns along x."""
     lowest, relief, n = float(heights.min()), float(np.ptp(heights)), len(heights)
     spec.add_hfield(
         name="ground",

@@ -38,7 +38,7 @@ class Scenario:
     options: Subclass of `ScenarioOptions`.
     function: Takes a `Body`, the number of frames, the options and a numpy Generator, and returns a
         `ScenarioResult`. With `uses_mujoco`, it also takes a `Progress`. Its docstring begins with
-        "Simulate" and says what stimulates the body. It refuses bodies that it cannot move.
+        "Simulate" and names the stimulus. It refuses bodies that it cannot move.
     """
 
     options: type[Any]
@@ -47,7 +47,7 @@ class Scenario:
 
     @property
     def summary(self) -> str:
-        """What stimulates the body, in one line."""
+        """The stimulus in one line."""
         first_line = (getdoc(self.function) or "").partition("\n")[0]
         return first_line.removeprefix("Simulate ").removesuffix(".")
 
@@ -106,7 +106,7 @@ def simulate(
     Returns
     -------
     Recording
-        With true positions, normals and distances along the surface. Metadata hold the body, the
+        With true positions, normals and distances along the surface. Metadata contain the body, the
         scenario, the seed, versions, all options, and measured physical quantities.
 
     Raises
@@ -114,7 +114,7 @@ def simulate(
     InputError
         If a name is unknown, or a parameter is outside its range.
     MissingExtraError
-        If the scenario needs MuJoCo and it is not installed.
+        If the scenario requires MuJoCo, which is not installed.
 
     Notes
     -----
@@ -150,7 +150,7 @@ def run_simulation(
     report(1.0)
     metadata: dict[str, Scalar] = {"body": given.name, "scenario": scenario, "seed": number}
     for name, value in {**asdict(options), **result.facts}.items():
-        if value is not None:  # files cannot store it, nor numpy scalars
+        if value is not None:  # files cannot store None or numpy scalars
             metadata[name] = value.item() if isinstance(value, np.generic) else value
     rolls = scenario == "locomotion" and given.solids[0].kind == "cylinder"
     metadata["contacts"] = CONTACTS[rolls]
@@ -212,6 +212,6 @@ def find_body(body: str | Body, n_sensors: int | None = None) -> Body:
     return _named_body(body, n_sensors)
 
 
-@lru_cache(maxsize=16, typed=True)  # runs of one body with many seeds share its distances
+@lru_cache(maxsize=16, typed=True)  # runs of a body with many seeds share surface distances
 def _named_body(name: str, n_sensors: int | None) -> Body:
     return BODIES[name]() if n_sensors is None else BODIES[name](n_sensors)

@@ -18,16 +18,16 @@ from anisomap.numerics.surfaces import Mesh, TriangleSearch, areas_of, frozen, s
 
 Points: TypeAlias = NDArray[np.float64]
 Chosen: TypeAlias = Callable[[Points], NDArray[np.bool_]]
-"""Function of points (n, 3) that returns whether sensors may be there (n,)."""
+"""Function of points (n, 3) that returns whether sensors may be placed at each (n,)."""
 
 MAX_LENGTH = 1e10
-"""Maximum of coordinates and sizes, whose products of three neither overflow nor lose sums."""
+"""Maximum of coordinates and sizes: products of three neither overflow nor lose precision."""
 
 _CIRCLE_VERTICES = 48
 _COARSE_VERTICES = 16
 _GRADIENT_STEP = 1e-5  # x reach
 _N_PROJECTIONS = 4
-_CANDIDATES_PER_SENSOR = 100  # more candidates barely make the spacing more even
+_CANDIDATES_PER_SENSOR = 100  # with more, the spacing is hardly more even
 _MAX_ROUNDS = 50  # of rejection sampling
 _ROUNDING = 1e-9  # x reach
 
@@ -94,7 +94,7 @@ class Solid:
         return float(np.linalg.norm(self.outline.vertices, axis=1).max())
 
     def outside_ball(self, points: Points) -> Points:
-        """Compute a lower bound of the distance of points: that from a ball around the solid."""
+        """Compute the distance of points from the bounding ball, a lower bound of `distance`."""
         centre, radius = self._ball
         return np.asarray(np.linalg.norm(points - centre, axis=1) - radius)
 
@@ -150,7 +150,7 @@ def union_distance(solids: Sequence[Solid], points: ArrayLike) -> Points:
     """Compute the signed distance of points from a union of solids. Returns (n,)."""
     points = np.asarray(points, dtype=np.float64)
     found = np.full(len(points), np.inf)
-    # Meshes, whose search is slow, come last: most of them are too far away to be searched.
+    # Meshes are last: their search is slow, and most are then known to be too far away.
     for solid in sorted(solids, key=lambda solid: solid.kind == "mesh"):
         near = solid.kind != "mesh" or solid.outside_ball(points) < found
         if np.all(near):
@@ -312,11 +312,11 @@ def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tupl
 def spread(
     solids: Sequence[Solid], n_sensors: int, rng: np.random.Generator, on: Chosen | None = None
 ) -> tuple[Points, Points]:
-    """Spread sensors evenly over the surface of solids, where a function says so.
+    """Spread sensors evenly over the surface of solids, at points that a function accepts.
 
     Returns points, normals (n_sensors, 3): a maximal Poisson-disc sample, chosen from random
     candidates by farthest-point sampling (Gonzalez 1985, doi:10.1016/0304-3975(85)90224-5), so that
-    no two are closer than the covering radius.
+    no two sensors are closer than the covering radius.
     """
     points, normals = sample_surface(solids, _CANDIDATES_PER_SENSOR * n_sensors, rng)
     if on is not None:

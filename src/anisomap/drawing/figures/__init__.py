@@ -1,4 +1,4 @@
-"""Figures of maps and simulated scenes; matplotlib is imported when the first one is drawn."""
+"""Figures of maps and simulated scenes; matplotlib is imported with the first figure."""
 
 from anisomap.drawing.figures.backend import KINDS as KINDS
 from anisomap.drawing.figures.backend import check_writable as check_writable

@@ -36,10 +36,10 @@ PALETTE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
 MARKERS = ("o", "s", "^", "D")
 """Markers that go with `PALETTE`, for printing in black and white."""
 
-_CORNER = 0.15  # of an axis, without ticks
-_SHORT = 0.6  # of the longest axis
-_NOTE, _TITLE = 0.05, 0.09  # of the height of a figure
-_MARGIN, _EDGE = 0.2, 0.12  # inches beside texts, and above or below them
+_CORNER = 0.15  # share of an axis without ticks
+_SHORT = 0.6  # length of short axes, relative to the longest axis
+_NOTE, _TITLE = 0.05, 0.09  # share of the height of a figure
+_MARGIN, _EDGE = 0.2, 0.12  # inches beside texts, and above or below texts
 _MAX_TITLE = 80  # characters
 _STYLE = {
     "font.family": "DejaVu Sans",
@@ -61,13 +61,13 @@ _STYLE = {
 
 
 def load(module: str) -> Any:
-    """Import a module of matplotlib or of a library that comes with it."""
+    """Import a module of matplotlib or of a library that matplotlib requires."""
     return import_extra(module, "a picture", "report")
 
 
 @contextmanager
 def drawing_style() -> Iterator[None]:
-    """Apply the style of this package, whatever the user's matplotlibrc contains."""
+    """Apply the style of this package instead of the user's matplotlibrc."""
     with load("matplotlib.style").context(["default", _STYLE]):
         yield
 
@@ -76,9 +76,9 @@ def drawing_style() -> Iterator[None]:
 def new_figure(
     width: float, height: float, title: str = "", notes: Sequence[str] = (), **settings: Any
 ) -> Iterator[Figure]:
-    """Draw a figure that is not bound to a window, in the style of this package; sizes in inches.
+    """Create a figure without a window, in the style of this package; sizes in inches.
 
-    It has a title and notes at its foot.
+    The figure has a title, and notes at the bottom.
     """
     kind = load("matplotlib.figure").Figure
     note = {"va": "bottom", "fontsize": 8.5, "color": FAINT, "linespacing": 1.35}
@@ -99,7 +99,7 @@ def _write(figure: Figure, text: str, y: float, **style: Any) -> None:
 def panel(
     ax: Axes | None, dimensions: int, title: str = "", note: str = "", *, legend: int = 0
 ) -> Iterator[Axes]:
-    """Draw into given axes, which are checked, or into axes of a new figure with texts around it.
+    """Check and return given axes, or create axes in a new figure with a title and notes.
 
     legend: Columns of a legend above the panel; 0 for none.
     """
@@ -129,7 +129,7 @@ def add_legend(
     corner: Literal["upper left", "upper right"],
     anchor: tuple[float, float],
 ) -> None:
-    """Add a legend in one row to a figure, unless there are no marks; anchor in its size."""
+    """Add a one-row legend to a figure if there are marks; anchor relative to the figure."""
     line = load("matplotlib.lines").Line2D
     handles = [line([], [], ls="none", **mark) for mark in marks]
     if handles:
@@ -142,27 +142,27 @@ def set_ticks(axes: Axes, extents: NDArray[np.float64], count: int) -> None:
     """Limit the number of ticks to about `count`, on short axes to two. extents (k,)."""
     locator = load("matplotlib.ticker").MaxNLocator
     for name, extent in zip("xyz", extents, strict=False):
-        # In 3D, labels lie along axes that are foreshortened.
+        # In 3D, labels lie along foreshortened axes.
         few = extent <= _SHORT * extents.max() or (len(extents) == 3 and name == "y")
         chosen = locator(2 if few else count)
         axis = getattr(axes, f"{name}axis")
         axis.set_major_locator(chosen)
         if len(extents) == 3 and name != "x":
-            # A label in the corner of two axes would overlap one of the axis before.
+            # A label in the corner of two axes would overlap a label of the other axis.
             low, high = axis.get_view_interval()
             ticks = chosen.tick_values(low, high)
             axis.set_ticks(ticks[(ticks > low + _CORNER * extent) & (ticks < high)])
 
 
 def set_title(axes: Axes, title: str) -> None:
-    """Set the title of a panel; names in it are never read as mathematics."""
+    """Set the title of a panel; names are never interpreted as mathematics."""
     axes.set_title(title, fontsize=10, color=INK, parse_math=False)
 
 
 KINDS = ("png", "svg", "pdf")
 """File formats of pictures."""
 
-# Metadata that would make two files of the same figure differ.
+# Metadata that would differ between two files of the same figure.
 _METADATA = {
     "png": {"Software": None},
     "svg": {"Date": None, "Creator": None},
@@ -171,7 +171,7 @@ _METADATA = {
 
 
 def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
-    """Render a figure; the same figure gives the same bytes.
+    """Render a figure; the result is reproducible.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def figure_bytes(figure: Figure, kind: str = "png") -> bytes:
         raise InputError(f"unknown picture format {kind!r}; use {', '.join(KINDS)}")
     buffer = io.BytesIO()
     with drawing_style(), warnings.catch_warnings():
-        # Sensor names may be in any script; a letter that the font lacks is drawn as a box.
+        # Sensor names may be in any script; letters that the font lacks are drawn as boxes.
         warnings.filterwarnings("ignore", message=r"(?s).*missing from font")
         figure.savefig(buffer, format=kind, metadata=_METADATA[kind])
     return buffer.getvalue()
@@ -205,7 +205,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> None:
     ----------
     figure : matplotlib.figure.Figure
     path : path-like
-        Where to save it. An existing file is replaced only when the new one is complete.
+        Target file. An existing file is replaced only when the new one is complete.
 
     Raises
     ------

@@ -37,12 +37,12 @@ Values: TypeAlias = NDArray[Any]
 _WIDTH, _HEAD = 12.0, 0.75  # inches
 _GAP = 1.0  # between groups, in widths of a method
 _COLUMNS, _MAX_SERIES = 3, 12
-_INSTANTS = 600  # of a series; the range of the readings in each is drawn
+_INSTANTS = 600  # intervals of a series; the range of the readings in each is drawn
 _MAX_DOTS = 3_000  # pairs drawn as dots
-_MAX_SENSORS = 1_500  # sensors of which all pairs of distances are drawn
+_MAX_SENSORS = 1_500  # sensors whose distances are all drawn
 _CELL, _ROW_LABEL, _COLUMN_LABEL = (0.4, 0.34), 5.0, 2.6  # of counts, in inches
 _DARK = 0.5  # share below which a cell is dark
-_SPREAD = 0.22  # of the scores of a method, in its width
+_SPREAD = 0.22  # of the scores of a method, relative to its width
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class ScoreGroup:
 class CurvePanel:
     """Curves of several methods over a parameter x (L,).
 
-    curves (L, S): One value per run, by method; NaN where there is none.
+    curves (L, S): One value per run, by method; NaN for missing values.
     """
 
     title: str
@@ -89,7 +89,7 @@ class CurvePanel:
 
 @dataclass(frozen=True, eq=False)
 class CountPanel:
-    """Columns of counts, (rows, columns): how many of a total; nothing is drawn for a total of 0.
+    """Columns of counts and totals, (rows, columns); cells with a total of 0 remain empty.
 
     labels: Labels of the columns.
     """
@@ -121,7 +121,7 @@ def curves_figure(
 ) -> Figure:
     """Draw scores over a parameter: every run, and the mean over the runs.
 
-    looks: Looks of the curves, if they are not those of methods.
+    looks: Looks of the curves; by default, looks of methods.
     """
     if not panels:
         raise InputError("there are no curves to draw")
@@ -151,7 +151,7 @@ def curves_figure(
 def counts_figure(
     title: str, panels: Sequence[CountPanel], rows: Sequence[str], note: str
 ) -> Figure:
-    """Draw tables of counts, coloured by their share of the total and framed where it is whole."""
+    """Draw tables of counts, coloured by the share of the total; cells with share 1 are framed."""
     if not panels:
         raise InputError("there are no counts to draw")
     n_columns = [len(panel.labels) for panel in panels]
@@ -179,7 +179,7 @@ def counts_figure(
 
 
 def _add_head(figure: Figure, looks: Mapping[str, MethodLook], used: set[str]) -> None:
-    """Make space for the title and for a legend of the looks that are used."""
+    """Make space for the title, and add a legend of the looks used."""
     height = figure.get_figheight()
     figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - _HEAD / height))
     marks = [
@@ -241,7 +241,7 @@ def _draw_null(axes: Axes, x: float, box: Mapping[str, Any], look: MethodLook) -
 def draw_distances(axes: Axes, score: Score) -> None:
     """Draw the distances of pairs of sensors on the map against the true ones.
 
-    Many pairs are drawn as a density; of many sensors, some, equally spaced in their order.
+    Many pairs are drawn as a density. Of many sensors, an evenly spaced sample is drawn.
     """
     n_sensors, quantiles = len(score.truth), score.mantel.quantiles()
     kept = np.unique(np.linspace(0, n_sensors - 1, min(n_sensors, _MAX_SENSORS)).astype(int))

@@ -1,4 +1,4 @@
-"""Figures of maps: alone, beside the truth, in galleries of panels, and with sensors that moved."""
+"""Figures of maps: alone, beside the truth, in galleries of panels, and with displacements."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from anisomap.placement import Anchors, Placement
 
 MAX_VECTOR_DOTS = 5_000
-"""Above this number of sensors, dots and lines are stored as pixels in SVG and PDF files."""
+"""Maximum number of sensors whose dots and lines are not rasterised in SVG and PDF files."""
 
 # Sizes and limits below were chosen by eye. Inches:
 _SIDE, _HEAD, _LINE, _LEFT, _RIGHT = 4.6, 0.8, 0.17, 0.75, 0.85
@@ -151,8 +151,8 @@ def plot(
         True positions, as for `anisomap.score`, or the score of this map. They are drawn as rings,
         and the map is aligned with them. Lines join true neighbours.
     ax : matplotlib Axes, optional
-        Axes to draw into, with ``projection="3d"`` for data in 3D; those of a new figure by
-        default.
+        Axes to draw into, with ``projection="3d"`` for data in 3D; by default, axes of a new
+        figure.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def plot(
     Raises
     ------
     InputError
-        If there is nothing to draw, or `ax` has another number of dimensions; see `anisomap.score`.
+        If there is nothing to draw, or `ax` has a different dimension; see `anisomap.score`.
     MissingExtraError
         If matplotlib is not installed.
     """
@@ -229,11 +229,11 @@ def gallery_figure(
     size: float = 3.5,
     legend: bool = False,
 ) -> Figure:
-    """Draw panels in rows; of a score, the distances that it compares.
+    """Draw panels in rows; for a score, the distances that it compares.
 
-    note: Its lines are wrapped.
+    note: Text below the panels, with wrapped lines.
     size: Size of a panel, in inches.
-    legend: Whether to explain the marks of faulty sensors and of those that were not compared.
+    legend: Whether to explain the marks of faulty sensors and of sensors that were not compared.
     """
     if not panels:
         raise InputError("there are no panels to draw")
@@ -291,7 +291,7 @@ def truth_panel(
     return Panel(
         points=places[rows],
         colours=place_colours(places, view)[rows],
-        pairs=pairs[~left_out[pairs].any(axis=1)],  # whose place on the map is arbitrary
+        pairs=pairs[~left_out[pairs].any(axis=1)],  # their positions on the map are arbitrary
         view=view,
         units=units,
         uncompared=left_out,
@@ -376,7 +376,7 @@ def _draw_layers(axes: Axes, shown: Panel, nearness: Points) -> None:
     """Draw from back to front, because 3D axes do not sort lines among dots."""
     points = shown.points
     dot_layer = np.minimum((nearness * _N_LAYERS).astype(int), _N_LAYERS - 1)
-    # A line has the depth of its farther end, so that it never crosses a nearer dot.
+    # A line has the depth of its further end, so that it never crosses a nearer dot.
     line_layer = dot_layer[shown.pairs].min(axis=1)
     size = _DOT_AREA * float(np.clip(np.sqrt(60 / len(points)), 0.02, 1))
     crowded, as_pixels = len(points) > _CROWDED, len(points) > MAX_VECTOR_DOTS
@@ -402,7 +402,7 @@ def _draw_layers(axes: Axes, shown: Panel, nearness: Points) -> None:
 
 
 def _write_label(axes: Axes, point: Points, name: str, leftwards: bool) -> None:
-    """Write a name to the left or right of a point, legible above everything else."""
+    """Write a name to the left or right of a point, above all other marks."""
     halo = load("matplotlib.patheffects").withStroke(linewidth=2, foreground="white")
     axes.text(
         *point, f"{name}  " if leftwards else f"  {name}", ha="right" if leftwards else "left",
@@ -420,7 +420,7 @@ _LOOKS = {
     **dict.fromkeys(("swapped", "cycle", "shifted"), (PALETTE[1], MARKERS[3])),
     **dict.fromkeys(("dead", "doubled"), (PALETTE[3], "X")),
 }
-"""Colour and marker of each kind of sensor, by its name in the legend; similar kinds look alike."""
+"""Colour and marker of each kind of sensor, by name in the legend; similar for similar kinds."""
 
 
 def plot_placement(

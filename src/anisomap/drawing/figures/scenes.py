@@ -30,7 +30,7 @@ _FACES = {"ground": "#b7c7a8", "body": "#c9ced4", "stimulus": "#e69f00"}
 _ALPHA = {"ground": 0.9, "body": 0.5, "stimulus": 0.35}
 _READINGS = "viridis"
 _LIGHT = (150, 54)  # azimuth and altitude of the light
-_GROUND_EXTENT = 1.8  # of the ground drawn, in extents of everything else
+_GROUND_EXTENT = 1.8  # of the drawn ground, relative to the extent of all other objects
 
 
 def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
@@ -83,7 +83,7 @@ def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) ->
             _draw_scene(axes, touched, 0)
             set_title(axes, label)
             axes.locator_params(nbins=2)
-            axes.patch.set_visible(False)  # it would hide labels of the panel to its left
+            axes.patch.set_visible(False)  # it would hide labels of the panel on the left
         return figure
 
 
@@ -146,7 +146,7 @@ def _draw_readings(axes: Axes, scene: Scene, frame: int) -> None:
 def _within(
     triangles: NDArray[np.float64], lowest: NDArray[np.float64], highest: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Remove the triangles far from a box: most of a wide ground."""
+    """Remove triangles far from a box, i.e. most triangles of a wide ground."""
     middle, half = (lowest + highest)[:2] / 2, (highest - lowest)[:2].max() / 2
     distances = np.abs(triangles[:, :, :2] - middle).max(axis=(1, 2))
     return np.asarray(triangles[distances <= _GROUND_EXTENT * half])
@@ -161,9 +161,9 @@ def _surface(triangles: NDArray[np.float64], role: str) -> Any:
 
 
 def _edges_of_box(vertices: NDArray[np.float64]) -> Any:
-    """Return the edges of a box between two of its corners, which are all that is drawn of a room.
+    """Return the edges of a box; only the edges of a room are drawn.
 
-    Edges are along the axes: their ends differ in one coordinate.
+    Edges are along the axes: the ends differ in one coordinate.
     """
     first, second = np.triu_indices(len(vertices), 1)
     edge = np.count_nonzero(vertices[first] != vertices[second], axis=1) == 1

@@ -1,4 +1,4 @@
-"""Reports of maps: single HTML files that need no network."""
+"""Reports of maps: single HTML files that do not need a network."""
 
 from __future__ import annotations
 
@@ -53,10 +53,10 @@ SUFFIXES = ("html", "htm")
 """Suffixes of report files."""
 
 MAX_ROWS = 2000
-"""Largest number of sensors in the table; browsers lay out longer tables slowly."""
+"""Maximum number of sensors in the table; browsers render longer tables slowly."""
 
-_N_WORST = 5  # sensors named first
-_MAX_PRINTED = 8  # rows of the table in print; the map and facts fill the rest of two pages
+_N_WORST = 5  # sensors listed first
+_MAX_PRINTED = 8  # rows of the table in print; the map and facts fill the remainder of two pages
 _PROVENANCE = {
     "anisomap": "version of anisomap",
     "source": "recording",
@@ -66,16 +66,16 @@ _PROVENANCE = {
     "dimensions_because": "reason for the dimensions",
     "repaired": "mended",
 }
-"""What readers need of the provenance of a map, in their words; the map file holds all of it."""
+"""Entries of the provenance that a report shows, with labels; the map file contains all entries."""
 
 
 @dataclass(frozen=True)
 class Touches:
-    """How a skin was touched.
+    """Contacts of a skin.
 
-    facts: Numbers of contacts, and where to touch next.
+    facts: Numbers of contacts, and places to touch next.
     coverage: Contacts of the sensors of the map.
-    series_png: Picture of the readings of doubted sensors over time.
+    series_png: Picture of the readings of doubtful sensors over time.
     """
 
     facts: Mapping[str, str]
@@ -84,13 +84,13 @@ class Touches:
 
 
 _Cell: TypeAlias = tuple[str, float | str]
-"""The text of a cell of a table, and the key by which it is sorted; empty keys are last."""
+"""Text of a table cell, and its sort key; empty keys are last."""
 
 
 def _headlines(sensor_map: SensorMap, score: Score | None) -> list[str]:
-    """Describe the verdict and the errors that are known; the first sentence is the headline.
+    """Describe the verdict and the known errors; the first sentence is the headline.
 
-    Maps of objects get no verdict, since no recording says how far their pairs can be trusted.
+    Maps of objects have no verdict, since there are no readings to examine.
     """
     names, kind = sensor_map.names, sensor_map.kind
     sentences = list(judgement(sensor_map))
@@ -187,10 +187,10 @@ def _sensor_statuses(sensor_map: SensorMap, health: Sequence[SensorHealth]) -> t
 def _sensor_table(
     sensor_map: SensorMap, score: Score | None, health: Sequence[SensorHealth]
 ) -> dict[str, Any]:
-    """Tabulate the sensors: those with the greatest errors first, else those with problems.
+    """Tabulate the sensors: the greatest errors first, or without errors, the problems first.
 
-    Returns the meanings of the columns between status and reason, by title, the rows, at most
-    `MAX_ROWS`, the number of sensors with each status, and of sensors on the map and on paper.
+    Returns the meanings of the columns between status and reason, by title; at most `MAX_ROWS`
+    rows; the numbers of sensors with each status, of all sensors, and of rows in print.
     """
     assessed = {sensor.name: sensor for sensor in health}
     statuses = _sensor_statuses(sensor_map, health)
@@ -213,7 +213,7 @@ def _sensor_table(
         columns[f"Error{unit}"] = "distance from the true position", cells
     if sensor_map.covariances is not None and ellipses_differ(sensor_map.covariances):
         units, scale = sensor_map.units, np.ones(len(shown))
-        if score is not None:  # in the frame and unit of the errors beside them
+        if score is not None:  # in the frame and unit of the errors
             units = score.units
             scale = np.where(sensor_map.component[shown] == 0, score.alignment.scale, np.nan)
         unit = "" if units in UNSCALED else f" ({units})"
@@ -278,7 +278,7 @@ _MEASURED: dict[str, tuple[str, str, Callable[[Any], str]]] = {
         "highest Pearson r with another sensor", "best_match", lambda r: number(r, 2)
     ),
 }  # fmt: skip
-"""Columns of the table of sensors that the health of a sensor fills: meaning, attribute, format."""
+"""Columns of the table of sensors from `SensorHealth`: meaning, attribute, format."""
 
 
 def _base64(content: bytes) -> str:
@@ -298,7 +298,7 @@ def _policy(script: str, style: str) -> str:
 
 
 def _shown(value: object) -> object:
-    """Replace what cannot be printed in a value that the page shows; its own markup stays."""
+    """Replace unprintable characters in a value of the page, except in its own markup."""
     if isinstance(value, str) and not hasattr(value, "__html__"):
         return printable(value)
     return value
@@ -341,10 +341,10 @@ def write_report(
         complete.
     sensor_map : SensorMap
     title : str
-        By default what the map shows, a skin or objects.
+        By default, according to the map, of a skin or of objects.
     **contents
         ``score``, ``health``, the ``summary`` of the recording, ``touches``, and ``origin``:
-        how the map came about, by name, such as the command and digests of its inputs.
+        named facts about the origin of the map, such as the command and digests of its inputs.
 
     Raises
     ------
@@ -356,7 +356,7 @@ def write_report(
     check_writable(path)
     text = render_report(sensor_map, title=title, **contents)
     with atomic_write(path) as temporary:
-        # A name read from a damaged file may contain a lone surrogate, which UTF-8 cannot encode.
+        # Names from damaged files may contain lone surrogates, which UTF-8 cannot encode.
         temporary.write_bytes(text.encode("utf-8", errors="replace"))
 
 
@@ -370,16 +370,16 @@ def render_report(
     origin: Mapping[str, str] | None = None,
     title: str = "",
 ) -> str:
-    """Return a report as text; the same input gives the same text.
+    """Return a report as text; the result is reproducible.
 
-    origin: How the map came about, by name, such as the command and digests of its inputs.
+    origin: Named facts about the origin of the map, such as the command and digests of its inputs.
 
-    Names and notes are escaped. The page runs no script but its own and sends no requests.
+    Names and notes are escaped. The page runs only its own script, and sends no requests.
     """
     page = templates("anisomap.drawing.report", _shown).get_template("report.html")
     statuses = _sensor_statuses(sensor_map, health)
-    # A script ends at the first "</script", wherever it occurs: the script of this package contains
-    # none (tested), and tojson escapes the data.
+    # A script ends at the first "</script": the script of this package does not contain it
+    # (tested), and tojson escapes the data.
     script, style = _text("report.js"), _text("report.css")
     text: str = page.render(
         title=title or TITLES[sensor_map.kind],
@@ -433,7 +433,7 @@ _CONTACTS = {  # from light to dark, also in greyscale
     f"{ENOUGH_CONTACTS} or more": "#00426b",
 }
 MAX_DOTS = MAX_JOINED
-"""Largest number of sensors per view; browsers rotate this many smoothly."""
+"""Maximum number of sensors per view; browsers rotate this number smoothly."""
 
 _MAX_NAME = 40
 _DIGITS = 4  # of a coordinate, relative to the extent of the map: less than a pixel
@@ -483,14 +483,14 @@ def _view(
 
 
 def status_colours(statuses: Sequence[str]) -> dict[str, str]:
-    """Return the colour of every status that occurs, in the order of `STATUS_COLOURS`."""
+    """Return the colour of every status present, in the order of `STATUS_COLOURS`."""
     found = set(statuses)
     known = {status: colour for status, colour in STATUS_COLOURS.items() if status in found}
     return known | dict.fromkeys(sorted(found - known.keys()), _OTHER)
 
 
 def _sample(component: Panel, statuses: Sequence[str]) -> NDArray[np.intp]:
-    """Choose the sensors of a large component to show, faulty ones first."""
+    """Choose the sensors to show of a large component, faulty sensors first."""
     faulty = np.array([is_faulty(statuses[i]) for i in component.sensors])
     first = np.flatnonzero(faulty)[: MAX_DOTS // 2]
     others = np.flatnonzero(~faulty)
@@ -513,7 +513,7 @@ def _ramp(values: NDArray[Any], title: str) -> Colours:
 
 
 def _lacking(part: Panel, coverage: TouchCoverage) -> dict[str, Any]:
-    """List neighbours that were never touched together, and the sensors of places to touch next."""
+    """List neighbours never touched simultaneously, and the sensors of places to touch next."""
     row = {int(sensor): i for i, sensor in enumerate(part.sensors)}
     apart = [[row[i], row[j]] for i, j in coverage.never_together.tolist() if {i, j} <= row.keys()]
     places = [
