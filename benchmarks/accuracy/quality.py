@@ -4,7 +4,7 @@ All methods map the scenarios of the paper in several lengths, others in one, on
 used for tuning, and the recordings in folders. (The covariogram method was tuned on seeds 101 to
 105, its gates also on 301 to 455.) All maps of a recording are scored on the same sensors. The
 output is tables in Markdown and CSV, all scores of simulated skins as CSV, and a figure of their
-errors against the length of the recording. Three seeds take five minutes of processor time.
+errors against the length of the recording. Three seeds take six minutes of processor time.
 """
 
 from __future__ import annotations
