@@ -181,11 +181,11 @@ def draw(rows: Sequence[Row], path: Path) -> None:
             lengths = errors.index
             ax.plot(lengths, middle, line, marker=mark, color=colour, label=way, markersize=4)
             ax.fill_between(lengths, low, high, color=colour, alpha=0.15)
-        ax.set(title=f"{body}, {stimulus}", xscale="log", ylim=(0, None))
+        ax.set(title=f"{body}, {stimulus}", xscale="log")
         ax.set_xticks(TICKS, [str(n) for n in TICKS])
         ax.minorticks_off()
     for ax in axes[-1]:
-        ax.set_xlabel("frames")
+        ax.set(xlabel="frames", ylim=(0, None))  # of the column
     for ax in axes[:, 0]:
         ax.set_ylabel("RMS error (spacings)")
     axes[0, 0].legend()
