@@ -1,4 +1,4 @@
-"""The application: its commands, their help on one screen, errors as messages, and signals."""
+"""The application: commands, help pages of one screen, error messages, and signals."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _HEADING = "Examples\n--------\n"  # of a docstring
 
 
 def _shown(default: object) -> str | None:
-    """Return the default of an option as its help shows it; nothing for switches and no value."""
+    """Return the default of an option for help; None for switches and options without default."""
     return None if isinstance(default, bool) or default in (None, "", []) else str(default)
 
 
@@ -56,7 +56,7 @@ app = App(
     help_flags=["--help", "-h", HELP_ALL],
     console=console,
     help_format="markdown",
-    # "[a].csv" is a file name; switches and lists have no opposite, but those that name one.
+    # "[a].csv" is a file name; switches and lists have no negative form unless they name one.
     default_parameter=Parameter(json_list=False, json_dict=False, negative=(), show_default=_shown),
 )
 
@@ -77,8 +77,8 @@ COMMANDS: Mapping[str, str] = MappingProxyType(
         "list": "listing:list_kind",
     }
 )
-"""Where the function of each command is. Functions import what they need when they run, so that
-help pages and errors of options come at once."""
+"""Location of the function of each command. Functions import libraries when they run, so that help
+pages and errors of options appear immediately."""
 
 for _i, (_name, _target) in enumerate(COMMANDS.items()):
     app.command(f"anisomap.cli.commands.{_target}", name=_name, sort_key=_i)
@@ -89,7 +89,7 @@ app.register_install_completion_command(
 
 
 def load_commands() -> None:
-    """Import all commands, so that the list of them shows what their docstrings say."""
+    """Import all commands, since the list of commands shows their docstrings."""
     for name in COMMANDS:
         app[name]
 
@@ -121,7 +121,7 @@ def _report(error: Exception) -> int:
         case MemoryError():
             return _failed("not enough memory; map fewer sensors or frames", BAD_INPUT)
         case BrokenPipeError():
-            discard(sys.stdout)  # the reader has closed the pipe, which is not an error
+            discard(sys.stdout)  # it is not an error if the reader closes the pipe
             return 0
     if os.environ.get("ANISOMAP_DEBUG"):
         raise error
@@ -134,7 +134,7 @@ def _report(error: Exception) -> int:
 
 
 def _misuse(error: CycloptsError) -> str:
-    """Say what is wrong with the arguments of a command."""
+    """Describe the error in the arguments of a command."""
     if not isinstance(error, MissingArgumentError) or error.argument is None:
         return f"{str(error).rstrip('.')} (see --help)"
     name = error.keyword or error.argument.name
@@ -143,7 +143,7 @@ def _misuse(error: CycloptsError) -> str:
 
 
 def _run(given: list[str]) -> int:
-    """Run a command; return its exit code, which is 0 unless the command returns another."""
+    """Run a command; return its exit code, 0 by default."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # users cannot act on warnings of other packages
         warnings.simplefilter("always", AnisomapWarning)
@@ -176,7 +176,7 @@ def _run(given: list[str]) -> int:
 
 
 def _commands_page() -> str:
-    """Return the list of the commands, and how they are used."""
+    """Return the list of commands, and their usage."""
     rows = [(name, _sentence(_doc(app[name]))) for name in COMMANDS]
     return "\n".join(
         [
@@ -194,7 +194,7 @@ def _commands_page() -> str:
 
 
 def _command_page(name: str) -> str:
-    """Return the help of a command: options of the group for experts are named only."""
+    """Return the help of a command; options of the expert group are only named."""
     given, shown, others = [], [], []
     for one in app[name].assemble_argument_collection(parse_docstring=True):
         if not one.show:
@@ -240,19 +240,19 @@ def _positional(argument: Argument) -> str:
 
 
 def _names(argument: Argument) -> str:
-    """Return the names of an option and what it takes, as in ``-o, --output FILE``."""
+    """Return the names of an option and its placeholder, as in ``-o, --output FILE``."""
     short = [name for name in argument.names if len(name) == 2]
     return f"{', '.join([*short, _long_name(argument)])} {_value(str(argument.hint))}".rstrip()
 
 
 def _long_name(argument: Argument) -> str:
-    """Return the long name of an option, or that which turns off a switch that is on by default."""
+    """Return the long name of an option; the negative name if a switch is on by default."""
     negative = [name for name in argument.names if name.startswith("--no-")]
     return negative[0] if argument.field_info.default is True else argument.name
 
 
 def _value(hint: str) -> str:
-    """Say what an option of a type takes; nothing for a switch."""
+    """Return the placeholder for an option of a type; empty for a switch."""
     kinds = {"bool": "", "Path": "FILE", "Literal": "CHOICE", "int": "N", "float": "X"}
     return next((shown for kind, shown in kinds.items() if kind in hint), "TEXT")
 
@@ -284,19 +284,19 @@ def run_process(arguments: list[str] | None) -> None:
     finally:
         ending.is_told = True
         if is_main:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process ends, without a traceback
-        gc.freeze()  # Python would search all objects for unreachable ones before it ends: .2 s
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # end without a traceback
+        gc.freeze()  # a last garbage collection of all objects would take .2 s
     sys.exit(code)
 
 
 class _Ending:
-    """Ends the process on a signal, by an exception, or by a thread if that is lost.
+    """Ends the process on a signal by an exception, or by a thread if the exception is lost.
 
-    Extension modules replace an exception within their import by others, and Python ignores one
-    within a callback, or leaves a lock locked.
+    Extension modules replace exceptions during their import. Python ignores exceptions within
+    callbacks, or leaves locks locked.
 
-    received: Numbers of the signals that arrived.
-    is_told: Whether the user knows.
+    received: Numbers of the received signals.
+    is_told: Whether the user was informed.
     """
 
     def __init__(self) -> None:
@@ -304,7 +304,7 @@ class _Ending:
         self.is_told = False
 
     def handle(self) -> None:
-        """Handle the signals, except those that the process was started to ignore, as by nohup."""
+        """Handle the signals, except signals that were ignored at the start, as by nohup."""
         for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)  # Windows has no SIGHUP
             if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
@@ -314,7 +314,7 @@ class _Ending:
         if self.received:
             return
         self.received.append(number)
-        sys.unraisablehook = lambda _: None  # says what is ignored
+        sys.unraisablehook = lambda _: None  # do not report ignored exceptions
         start_new_thread(self._end_anyway, ())
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 

@@ -33,34 +33,34 @@ from anisomap.base.wording import join_items, printable, shortened
 from anisomap.errors import MAX_CHARACTERS, FileError
 
 MAX_SHOWN = 50
-"""Rows of a table, and names in a line; with --json, all are printed. Chosen by hand."""
+"""Maximum rows of a table and names in a line; with --json, all are printed. Chosen by hand."""
 
 Columns: TypeAlias = Mapping[str, tuple[str, Callable[[Any], str]]]
-"""For each heading of a table, a field of its records and the format of that."""
+"""For each heading of a table, a field of the records and the format of this field."""
 
 _MIN_WIDTH = 12  # characters of a value beside its name
-_WORD = 20  # characters of a word that it does not break, as names of methods
+_WORD = 20  # maximum characters of an unbroken word, such as the name of a method
 _GAP = 2  # characters between columns
 
 
 class _Terminal(Console):
-    """A standard stream; if its reader closes the pipe, the command continues without it.
+    """A standard stream; if the reader closes the pipe, the command continues without it.
 
     as_json: Whether errors are printed as JSON.
-    arguments: Those of the process, which reports state.
+    arguments: Arguments of the process, for reports.
     """
 
     as_json = False
     arguments: Sequence[str] = ()
 
     def __exit__(self, *raised: Any) -> None:
-        """Write what was printed, or drop it if that fails, as on a full disk."""
+        """Write the captured text, or drop it if writing fails, as on a full disk."""
         try:
             super().__exit__(*raised)
         except OSError as error:
             discard(self.file)
             self.begin_capture()
-            self.end_capture()  # forgets the text that was not written
+            self.end_capture()  # discards unwritten text
             raise FileError(f"cannot write to standard output: {error.strerror}") from error
 
     def on_broken_pipe(self) -> None:
@@ -69,7 +69,7 @@ class _Terminal(Console):
 
 
 def discard(stream: IO[str]) -> None:
-    """Send the rest of a stream, buffered text included, to the null device."""
+    """Redirect a stream, including buffered text, to the null device."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
@@ -79,7 +79,7 @@ errors = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 def print_error(message: str, code: int) -> None:
     """Print an error on stderr; with --json, an object on stdout."""
-    text = shortened(_one_line(message), MAX_CHARACTERS)  # escapes are longer than what they show
+    text = shortened(_one_line(message), MAX_CHARACTERS)  # escapes lengthen the message
     if errors.as_json:
         console.out(json.dumps({"error": text, "exit_code": code}))
         return
@@ -92,15 +92,15 @@ def print_warning(message: str) -> None:
 
 
 def _complain(text: Text) -> None:
-    with suppress(FileError):  # a full disk, about which nothing can be said either
+    with suppress(FileError):  # a full disk, which cannot be reported either
         errors.print(text, soft_wrap=not errors.is_terminal)
 
 
 def prepare_streams() -> None:
     """Make the standard streams accept any text.
 
-    Characters that their encoding lacks are written as escapes. A stream that is closed, as by
-    ``>&-`` in a shell, is replaced by the null device, so that no output file takes its number.
+    Characters that the encoding lacks are written as escapes. A closed stream, as by ``>&-`` in a
+    shell, is replaced by the null device, so that no output file gets its file descriptor.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -139,14 +139,14 @@ class Printer:
         self.values |= attributes(source, names) | values
 
     def facts(self, title: str, facts: Mapping[str, str]) -> None:
-        """Print names and values, one per line; names without a value are left out."""
+        """Print names and values, one per line; names without a value are omitted."""
         if self.as_json:
             return
         self._emit(console.print, _text(title, "bold"))
         known = {name: value for name, value in facts.items() if value}
         left = max(map(len, known), default=0) + 3
         for name, value in known.items():
-            # Names and paths stay whole, to be copied, however narrow the terminal is.
+            # Names and paths are not broken in narrow terminals, so that they can be copied.
             lines = textwrap.wrap(
                 printable(value),
                 max(console.width - left, _MIN_WIDTH),
@@ -165,7 +165,7 @@ class Printer:
         *,
         max_rows: int | None = None,
     ) -> None:
-        """Print rows, at most `max_rows` and the number of others; numbers are to the right."""
+        """Print at most `max_rows` rows, and the number of others; numbers are right-aligned."""
         if self.as_json:
             return
         shown = rows[:max_rows]
@@ -204,7 +204,7 @@ class Printer:
             self.table(title, list(columns), rows, max_rows=max_rows)
 
     def files(self, files: Sequence[tuple[str, Path]]) -> None:
-        """Print and record the files that were written, each with its content, if there are any."""
+        """Print and record written files with descriptions of their contents, if there are any."""
         records = [{"content": kind, "path": str(path)} for kind, path in files]
         self.rows("Files", {"content": ("content", str), "path": ("path", str)}, records)
         if files:
@@ -232,7 +232,7 @@ class Printer:
             self._emit(console.print, Text(_lines(text)), soft_wrap=not console.is_terminal)
 
     def event(self, values: Mapping[str, object]) -> None:
-        """Print values at once as a JSON object on a line of its own, if `as_json`."""
+        """Print values immediately as a JSON object on a separate line, if `as_json`."""
         if self.as_json:
             self._emit(console.out, json.dumps(plain(values)))
 
@@ -248,7 +248,7 @@ class Printer:
             raise self.failure
 
     def _emit(self, output: Callable[..., None], *arguments: Any, **settings: Any) -> None:
-        """Print; after a failure, such as a full disk, the command goes on without printing."""
+        """Print; after a failure, such as a full disk, the command continues without printing."""
         if self.failure is not None:
             return
         try:
@@ -258,7 +258,7 @@ class Printer:
 
 
 def attributes(source: object, names: str) -> dict[str, Any]:
-    """Return some attributes of an object, whose names are separated by blanks, by name."""
+    """Return attributes of an object by name; `names` are separated by blanks."""
     return {name: getattr(source, name) for name in names.split()}
 
 
@@ -305,7 +305,7 @@ def progress(task: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def _told(name: str, describe: Callable[[str], None]) -> Iterator[None]:
-    """Pass the messages of a logger and those below it to a function."""
+    """Pass the messages of a logger and its descendants to a function."""
     library, handler = logging.getLogger(name), _Description(describe)
     level = library.level
     library.addHandler(handler)

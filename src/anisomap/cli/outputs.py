@@ -1,4 +1,4 @@
-"""What commands write: maps, pictures and reports, and the last steps of a map."""
+"""Files written by commands: maps, pictures and reports; and the last steps of making a map."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ _NOT_MAPS = {
 }
 
 
-_ALIKE = 1.5  # factor between two spacings of one skin, above which a unit is wrong; by hand
+_ALIKE = 1.5  # maximum ratio of two spacings of one skin with correct units; by hand
 
 
 @dataclass(frozen=True)
 class Truth:
-    """How a map is scored.
+    """Options of scoring.
 
-    reference: Positions to score against; those of the recording if None.
+    reference: Positions to score against; if None, true positions in the recording.
     exclude: Sensors to leave out.
     """
 
@@ -90,7 +90,7 @@ class Truth:
 
 
 def read_layout(path: Path, units: str | None = None) -> SensorMap:
-    """Read positions; `units` is their unit if the file states none."""
+    """Read positions; `units` is their unit if the file gives none."""
     layout = io.read_map(path)
     if units is None:
         return layout
@@ -100,19 +100,19 @@ def read_layout(path: Path, units: str | None = None) -> SensorMap:
 
 
 def read_reference(path: Path, units: str | None = None) -> SensorMap:
-    """Read the positions that a map is scored against."""
+    """Read the reference positions for a score."""
     found = read_layout(path, units)
     return replace(found, units="" if found.units == "arbitrary" else found.units)
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files to write, and the inputs, which none may be; checked before anything is computed.
+    """Files to write, and inputs, which must not be overwritten; checked before computations.
 
     maps: Maps, in any format.
     recording: NPZ or text.
     others: Files whose formats are not checked here.
-    placing: Scale and frame of the maps; if None, they are written as they are.
+    placing: Scale and frame of the maps; if None, maps are written unchanged.
     """
 
     maps: Sequence[Path] = ()
@@ -147,9 +147,9 @@ class Outputs:
         *,
         source: tuple[Path, SensorMap] | None = None,
     ) -> list[tuple[str, Path]]:
-        """Write the maps and the picture; return the files, each with its content.
+        """Write the maps and the picture; return files and descriptions of their contents.
 
-        source: A file, and what it states, whose lines are kept where nothing changed.
+        source: A file and the map in it; unchanged lines of the file are kept.
         """
         written: list[tuple[str, Path]] = []
         with progress("writing"), together():
@@ -171,7 +171,7 @@ class Outputs:
         examined: Examined | None = None,
         coverage: TouchCoverage | None = None,
     ) -> list[tuple[str, Path]]:
-        """Write all files, of a map and its score; return them, each with its content."""
+        """Write all files of a map and its score; return files and descriptions of contents."""
         if not (self.picture or self.report):
             return self.write(sensor_map)
         figures, shown = drawing.figures, in_millimetres(sensor_map)
@@ -224,7 +224,7 @@ def finish(
 
     Returns the map as it was written, with its verdict and scale.
 
-    If it is interrupted from the verdict on, the map is written without one.
+    If it is interrupted during or after the verdict, the map is written without a verdict.
 
     judge: Adds a verdict: ``judge(sensor_map, progress=...)``.
     write_others: Writes other files together with the map, and returns them.

@@ -1,7 +1,7 @@
 """Options that several commands share.
 
-What packages of the library contain is imported when a command runs, so that help pages and errors
-of options take .2 s: `io`, `placement` and `drawing` import their content on first use.
+The library is imported when a command runs, so that help pages and errors of options take .2 s:
+`io`, `placement` and `drawing` import their contents on first use.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class ReadingOptions:
 
     @property
     def inputs(self) -> list[Path]:
-        """The files that are read beside the recording, which no output may overwrite."""
+        """Files that are read in addition to the recording; outputs must not overwrite them."""
         return [*self.msg, *([self.positions] if self.positions else [])]
 
     def checked(self) -> io.ReadOptions:
@@ -94,7 +94,7 @@ class ReadingOptions:
 DEFAULT_READING = ReadingOptions()
 
 PRINTER = Printer()
-"""Stands for the printer of a command, which `app` makes."""
+"""Placeholder for the printer of a command, which `app` creates."""
 
 
 _GIVE_SPACING = (
@@ -178,7 +178,7 @@ class ModuleOptions:
 
     @property
     def files(self) -> list[Path | None]:
-        """Files that are read."""
+        """Files to read."""
         return [self.module_layout, self.module_table]
 
     @property
@@ -188,7 +188,7 @@ class ModuleOptions:
 
     @property
     def divided(self) -> bool:
-        """Whether it is known which sensors are on which module."""
+        """Whether the modules of the sensors are known."""
         return bool(self.module_table or self.module_size)
 
     def listed(self, names: Sequence[str]) -> placement.Modules | None:
@@ -209,7 +209,7 @@ _SMALLEST, _LARGEST = 1e-4, 0.5  # metres; no skin has smaller or larger spacing
 
 
 def doubt_spacing(text: str) -> None:
-    """Warn of a spacing of sensors that no skin has."""
+    """Warn of an implausible spacing of sensors."""
     value, unit = placement.parse_length(text)
     if not _SMALLEST <= value * METRES[unit] <= _LARGEST:
         print_warning(
@@ -239,7 +239,7 @@ MapFile: TypeAlias = Annotated[Path, Parameter(help="File of a map."), existing]
 
 
 Quality: TypeAlias = Literal["usable", "usable-for-neighbours"]
-"""Levels of a verdict that can be asked for."""
+"""Levels of a verdict that can be required."""
 
 Output: TypeAlias = Annotated[list[Path] | None, Parameter(alias="-o", group=outputs_group)]
 Picture: TypeAlias = Annotated[
@@ -320,5 +320,5 @@ Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)
 
 
 def beside(path: Path, suffix: str) -> Path:
-    """Return the default path of an output: the name of a file with a suffix, in this folder."""
+    """Return the default path of an output: the name of a file with `suffix`, in this folder."""
     return Path(path.name.split(".")[0] + suffix)

@@ -1,4 +1,4 @@
-"""What commands print: recordings, faults, maps, verdicts and scores, as text and for JSON."""
+"""Output of commands: recordings, faults, maps, verdicts and scores, as text and for JSON."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ def print_recording(printer: Printer, recording: Recording, summary: RecordingSu
 
 
 def doubt_orientation(summary: RecordingSummary, *, judged: bool = False) -> None:
-    """Warn of more sensors than frames, before they are mapped: the file may be transposed.
+    """Warn of more sensors than frames before mapping: the file may be transposed.
 
-    Fewer columns than a verdict needs frames are not a transposed recording that anybody would map.
-    judged: Whether a verdict is wanted. Raises InputError if only the transposed table can get one.
+    There is no warning if the transposed table has too few frames for a verdict. judged: Whether a
+    verdict is requested. Raises InputError if it is possible for the transposed table only.
     """
     n_frames, n_sensors = summary.n_frames, summary.n_sensors
     if n_sensors < max(n_frames + 1, MIN_FRAMES):
@@ -111,7 +111,7 @@ def print_health(
 def print_findings(
     printer: Printer, findings: Sequence[Finding], *, repaired: bool = False
 ) -> None:
-    """Print the faults of a recording: what was found, and what mends it or did."""
+    """Print the faults of a recording, and their repairs, possible or made."""
     printer.record(findings=[finding.record for finding in findings])
     if not findings:
         return
@@ -126,7 +126,7 @@ def print_findings(
 
 
 def print_map(printer: Printer, sensor_map: SensorMap) -> None:
-    """Print what a map places, and how well it fits."""
+    """Print the contents of a map, and its fit."""
     n_placed, dimensions = int(np.count_nonzero(sensor_map.placed)), sensor_map.dimensions
     kind, sizes, order = sensor_map.kind, sensor_map.component_sizes, _order(sensor_map)
     placed = f"{n_placed} of {sensor_map.n_sensors}, in {dimensions}D"
@@ -155,7 +155,7 @@ def print_map(printer: Printer, sensor_map: SensorMap) -> None:
 
 
 def print_verdict(printer: Printer, sensor_map: SensorMap) -> None:
-    """Print how far a map can be used, and why."""
+    """Print the verdict on a map, and the reasons."""
     first, *others = judgement(sensor_map)
     printer.facts(first, {})
     for sentence in others:
@@ -177,7 +177,7 @@ def record_map(printer: Printer, sensor_map: SensorMap) -> None:
 
 
 def _order(sensor_map: SensorMap) -> list[str]:
-    """Name the sensors of the largest component in their order along a line; [] if it is none."""
+    """Return the names of the largest component in order along a line; [] if it is not a line."""
     if sensor_map.dimensions > 1:
         return []
     order = np.argsort(sensor_map.positions[:, 0], kind="stable").tolist()
@@ -244,13 +244,13 @@ def _exchange(other: str | None) -> str:
 
 
 _QUANTILES = {0.0: "min", 0.5: "median", 1.0: "max"}
-_MAX_QUICK = 1000  # sensors of which `anisomap info` makes a quick map, in about a second
+_MAX_QUICK = 1000  # maximum sensors for a quick map by `anisomap info`, in about a second
 _PLACES_TOLD = 3
-_QUICK_METHOD = "r-anisomap"  # the fastest; neighbours suffice
+_QUICK_METHOD = "r-anisomap"  # the fastest method; only neighbours are needed
 
 
 def coverage_without_map(recording: Recording) -> TouchCoverage | None:
-    """Return how a skin was touched, by its true positions or by a quick map; None without one."""
+    """Return the coverage by contacts on true positions or a quick map; None without a map."""
     if not recording.touched:
         return None
     if recording.positions is not None:
@@ -266,7 +266,7 @@ def coverage_without_map(recording: Recording) -> TouchCoverage | None:
 
 
 def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]:
-    """Say in two facts how a skin was touched, and where to touch it next."""
+    """Return two texts: the contacts of a skin, and the places to touch next."""
     counts = coverage.contacts
     least = names[int(np.argmin(counts))]
     apart = len(coverage.never_together)
@@ -290,7 +290,7 @@ def touch_facts(coverage: TouchCoverage, names: Sequence[str]) -> dict[str, str]
 
 
 def print_touches(printer: Printer, coverage: TouchCoverage | None, names: Sequence[str]) -> None:
-    """Print how a skin was touched, and where to touch it next."""
+    """Print the contacts of a skin, and the places to touch next."""
     if coverage is None:
         return
     printer.facts("Touches", touch_facts(coverage, names))

@@ -1,4 +1,4 @@
-"""Small data sets for examples and tests, in the package: nothing is downloaded."""
+"""Small data sets for examples and tests, included in the package."""
 
 from __future__ import annotations
 

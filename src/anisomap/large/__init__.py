@@ -1,4 +1,4 @@
-"""Maps of many sensors that are made on a GPU."""
+"""Maps of many sensors, computed on a GPU."""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
 """Exact maps of many sensors on a GPU, for arrays of any library of the array API standard.
 
-Results of the stages are arrays of the library of the readings, on their device. The standard
-(https://data-apis.org/array-api) has no matrix product of minima and sums, so shortest paths have
-a kernel of their own for CuPy.
+Results of the stages are arrays of the same library and on the same device as the readings. The
+standard (https://data-apis.org/array-api) has no (min, +) matrix product, so shortest paths have a
+separate kernel for CuPy.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from anisomap.sensor_map import SensorMap
 
 logger = logging.getLogger(__name__)
 
-Array: TypeAlias = Any  # of a library that the compatibility layer of the standard knows
+Array: TypeAlias = Any  # of a library that the compatibility layer of the standard supports
 
-MIN_DEVICE_POINTS = 500  # that are scaled on the device; fewer are scaled by `smacof`
-MIDDLES = 32  # intermediate nodes of paths in one step: rows that the kernel keeps in shared memory
+MIN_DEVICE_POINTS = 500  # points scaled on the device; fewer points are scaled by `smacof`
+MIDDLES = 32  # intermediate nodes of paths per step: rows in the shared memory of the kernel
 _TILE = 64  # rows and columns of lengths that a block of 16 x 16 threads of the kernel updates
 _BLOCK_ELEMENTS = 1 << 24  # of temporary arrays; 64 MiB in float32
-_SENSORS_AT_ONCE = 512  # that are centred in float64
+_SENSORS_AT_ONCE = 512  # sensors centred in float64 at a time
 
 _KERNEL = """
 extern "C" __global__ void lower(real* lengths, const real* ways, int n, int n_ways) {
@@ -128,7 +128,7 @@ def _correlation(xp: Any, parts: list[Array]) -> Array:
 def mutual_information(readings: Array, bins: int) -> Array:
     """Compute the mutual information of every pair of sensors. readings (T, N) -> (N, N).
 
-    The device counts the pairs of codes; the bins of each sensor are found by numpy.
+    The device counts the pairs of codes; numpy computes the bins of each sensor.
     """
     xp = array_namespace(readings)
     values = maximum_entropy_codes(to_numpy(readings), bins)
@@ -165,8 +165,8 @@ def regularised_reciprocal(similarity: Array, mu: float) -> Array:
 def metricise(dissimilarity: Array) -> Array:
     """Replace dissimilarities (N, N) by lengths of shortest paths.
 
-    Blocked Floyd-Warshall algorithm: for each block of `MIDDLES` nodes, paths from these nodes to
-    all others, through the block, are found first; then all paths through the block are shortened.
+    Blocked Floyd-Warshall algorithm: for each block of `MIDDLES` nodes, paths from the block to all
+    other nodes are computed first; then all paths through the block are shortened.
     """
     xp = array_namespace(dissimilarity)
     # Products of matrices may round (i, j) and (j, i) differently.
@@ -202,7 +202,7 @@ def _kernel(dtype: str) -> Any:
 
 
 def scale(metric: Array, dimensions: int, options: mds.SmacofOptions) -> mds.Scaling:
-    """Scale a metric (N, N) by L-BFGS, as `smacof`; the stress is computed on the device."""
+    """Scale a metric (N, N) by L-BFGS as in `smacof`; the stress is computed on the device."""
     xp = array_namespace(metric)
     n_points = metric.shape[0]
     if not np.isfinite(float(xp.max(metric))):
@@ -217,7 +217,7 @@ def scale(metric: Array, dimensions: int, options: mds.SmacofOptions) -> mds.Sca
 
     total = float(multiply(np.ones(n_points)).sum(dtype=np.float64))
     start = mds.classical_scaling(multiply, n_points, dimensions)
-    del multiply  # and the squares
+    del multiply  # also frees the squares
     least = mds.LARGE_TOLERANCE if n_points >= mds.MIN_LARGE else 0.0
     positions, trace, converged = mds.minimise_lbfgs(
         _raw_stress(xp, metric),
@@ -233,7 +233,7 @@ def scale(metric: Array, dimensions: int, options: mds.SmacofOptions) -> mds.Sca
 
 
 def _raw_stress(xp: Any, targets: Array) -> Callable[[Floats], tuple[float, Floats]]:
-    """Return the raw stress of positions (N, k) and its gradient, as `objective` of smacof."""
+    """Return the raw stress of positions (N, k) and its gradient; see `objective` of smacof."""
 
     def raw_stress(positions: Floats) -> tuple[float, Floats]:
         points = _moved(positions, targets, alike=True)
@@ -263,14 +263,14 @@ def _block_rows(matrix: Array) -> Iterator[slice]:
 
 
 def _row_blocks(xp: Any, matrix: Array) -> Iterator[tuple[slice, Array, Array]]:
-    """Yield blocks of rows of a square matrix: rows, values, and which are on the diagonal."""
+    """Yield blocks of rows of a square matrix: rows, values, and a mask of the diagonal."""
     n_rows, where = matrix.shape[0], {"dtype": xp.bool, "device": _compatibility().device(matrix)}
     for rows in _block_rows(matrix):
         yield rows, matrix[rows, :], xp.eye(rows.stop - rows.start, n_rows, k=rows.start, **where)
 
 
 def _moved(values: NDArray[Any], array: Array, *, alike: bool = False) -> Array:
-    """Copy values to the library and the device of an array, and to its type if `alike`."""
+    """Copy values to the library and the device of an array; convert to its type if `alike`."""
     known = _compatibility()
     values = values.astype(str(array.dtype).rpartition(".")[2]) if alike else values
     return known.to_device(array_namespace(array).asarray(values), known.device(array))
@@ -297,7 +297,7 @@ def reconstruct_on_device(
     options: MethodOptions | None = None,
     names: Sequence[str] = (),
 ) -> SensorMap:
-    """Reconstruct the positions of sensors on the device that holds their readings.
+    """Reconstruct the positions of sensors on the device of the readings.
 
     Parameters
     ----------
@@ -354,7 +354,7 @@ def reconstruct_on_device(
     least = chosen.min_sensors
     check_size(dimensions, n_sensors, n_frames, least=least, total=n_sensors)
     if xp.isdtype(readings.dtype, "bool"):
-        readings = xp.astype(readings, xp.uint8)  # the standard puts no booleans in order
+        readings = xp.astype(readings, xp.uint8)  # the standard does not compare booleans
     varying = _varying(readings)
     n_varying = int(np.count_nonzero(varying))
     check_size(dimensions, n_varying, n_frames, least=least, total=n_sensors)
@@ -385,7 +385,7 @@ def reconstruct_on_device(
 
 
 def _varying(readings: Array) -> NDArray[np.bool_]:
-    """Check that readings (T, N) are finite, and return which sensors vary, (N,)."""
+    """Check that readings (T, N) are finite, and return whether each sensor varies, (N,)."""
     xp = array_namespace(readings)
     lowest, highest = (to_numpy(bound(readings, axis=0)) for bound in (xp.min, xp.max))
     faulty = np.flatnonzero(~(np.isfinite(lowest) & np.isfinite(highest)))

@@ -35,7 +35,7 @@ _source = Group("Source", sort_key=0)
 _page = Group("Page", sort_key=4)
 
 _LINE_S = 1.0  # between two lines of --headless
-_POLL_S = 0.2  # between two looks at whether the session is over
+_POLL_S = 0.2  # between two checks for the end of the session
 
 
 @Parameter(name="*", group=_page)
@@ -158,12 +158,12 @@ def live(
         spacing_mm=_millimetres(spacing),
     )
     opened = _opened(source, simulate, speed, seed, coached=coached, grid=grid)
-    if opened.names and not preset:  # else the names of the sensors follow
+    if opened.names and not preset:  # otherwise, names are known later
         find_sensors(opened.names, route.split_names(drop, opened.names))
     session = anisomap.live.LiveSession(opened, target, chosen)
     session.page = ending[0] if ending else None
     with _signals() as received, ExitStack() as stack:
-        # A port in use is reported before anything is recorded.
+        # Errors such as a port in use are reported before recording.
         server = None
         if not page.headless:
             server = stack.enter_context(Server(session, page.host, page.port))
@@ -223,7 +223,7 @@ def _opened(
 
 
 def _advised(session: LiveSession) -> Advised:
-    """Return where the coach asks to touch, and which sensors were touched, as 0 and 1."""
+    """Return the sensors that the coach asks to touch, and touched sensors, as 0 and 1."""
     quick = session.maps.quick
     if quick is None:
         return (), None
@@ -232,7 +232,7 @@ def _advised(session: LiveSession) -> Advised:
 
 @contextmanager
 def _signals() -> Iterator[list[int]]:
-    """Yield a list of the signals that arrive, of which the first is the end of the session."""
+    """Yield a list to which received signals are added; the first ends the session."""
     received: list[int] = []
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
@@ -250,7 +250,7 @@ def _signals() -> Iterator[list[int]]:
 def _run(
     session: LiveSession, page: PageOptions, printer: Printer, received: Sequence[int]
 ) -> None:
-    """Wait for the end of the session; without a page, print its state each second and then."""
+    """Wait for the end of the session; without a page, print its state each second and finally."""
     until = "" if page.until is None else page.until.replace("-", " ")
     told, next_line, ended = 0.0, time.monotonic() + _LINE_S, False
     while not ended:
@@ -314,7 +314,7 @@ def _finish(
     *,
     received: Sequence[int],
 ) -> None:
-    """Make the final map, write all files, and say what was written."""
+    """Make the final map, write all files, and print their names."""
     from anisomap.placement.placing import headline
 
     with progress("making the final map"):

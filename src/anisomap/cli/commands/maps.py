@@ -263,7 +263,7 @@ def check(
         source=(layout_file, found.layout),
     )
     edits = None
-    with suppress(InputError):  # of a format that cannot represent the positions
+    with suppress(InputError):  # the format cannot represent the positions
         edits = io.corrections(layout_file, found.layout, found.corrected)
     _print_check(printer, found, f"{layout_file.name} against {recording_file.name}", edits or [])
     printer.files(files)
@@ -271,7 +271,7 @@ def check(
 
 
 def _are_swapped(layout_file: Path, recording_file: Path, how: io.ReadOptions) -> bool:
-    """Return whether the first file is a recording of sensors that the second one places."""
+    """Return whether the first file is a recording, and the second contains its positions."""
     try:
         with warnings.catch_warnings(action="ignore", category=AnisomapWarning):
             recorded = io.read(layout_file, options=how).names

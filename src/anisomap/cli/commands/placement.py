@@ -165,7 +165,7 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
 
     placed, spacing = found.map, np.nan
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
-    with suppress(InputError):  # a single sensor, or all at one position
+    with suppress(InputError):  # a single sensor, or coincident sensors
         spacing = placement.median_spacing(placed) * _MM * METRES[placed.units]
     facts = {
         "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",

@@ -232,7 +232,7 @@ def map_recording(
     placing.check(files.maps)
     reference = None if truth is None else read_reference(truth)
     by = mapping.method or DEFAULT_METHOD
-    refined = find_method(by).refine is not None  # an unknown one is refused before files are read
+    refined = find_method(by).refine is not None  # refuse unknown methods before files are read
     examined = _examined(recordings, reading.checked(), mapping)
     printing.doubt_orientation(examined.summary, judged=judging.verdict and refined)
     with progress("making the map"):
@@ -253,7 +253,7 @@ def map_recording(
 
 
 def _examined(recordings: Sequence[Path], how: io.ReadOptions, mapping: MappingOptions) -> Examined:
-    """Read recordings of one skin, mend them if wanted, and assess them."""
+    """Read recordings of one skin, mend them if requested, and assess them."""
     from anisomap import route
 
     limit = mapping.memory * _READINGS_PER_MIB

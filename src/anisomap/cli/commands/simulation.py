@@ -18,7 +18,7 @@ from anisomap.cli.console import Printer, errors, progress
 from anisomap.errors import FileError, InputError, import_extra
 from anisomap.files.paths import together
 
-_MESHES = (".glb", ".obj", ".off", ".stl")  # lines of .obj would be read as a table
+_MESHES = (".glb", ".obj", ".off", ".stl")  # .obj files would be read as tables
 
 
 def simulate_body(
