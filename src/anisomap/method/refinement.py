@@ -21,6 +21,7 @@ from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
+from anisomap.numerics.signals import unit_rows
 
 logger = logging.getLogger(__name__)
 
@@ -130,24 +131,21 @@ def _by_paths(evidence: Evidence, positions: Reals) -> Reals:
     """Scale path lengths, starting near a map, in its frame. positions (n, k) -> (n, k).
 
     The covariogram compresses regions of wide contacts. Paths follow bends, but make no assumption
-    about distant regions.
+    about distant regions. Each kind of path has the weight of its correlation with the map.
     """
-    paths = _normalised_paths(evidence.similarity)
+    similarities = [evidence.similarity]
     if evidence.readings is not None:
-        paths = (paths + _normalised_paths(evidence.rank_correlation)) / 2
-    dimensions = positions.shape[1]
-    distances = squareform(pdist(positions))
-    lengths = distances.sum() / (len(paths) * (len(paths) - 1)) * paths
+        similarities.append(evidence.rank_correlation)
+    paths = [squareform(local_path_lengths(one), checks=False) for one in similarities]
+    distances = pdist(positions)
+    # Noise at rest ruins ranks where contacts are rare, and spikes ruin linear correlations.
+    of_map, *of_paths = unit_rows(np.column_stack([distances, *paths]))
+    weights = np.maximum(np.stack(of_paths) @ of_map, np.finfo(np.float32).tiny)
+    mean = np.average([one / one.mean() for one in paths], axis=0, weights=weights)
+    lengths = distances.mean() * mean
     # The start is the scaling of the mean of both, in which neither map is folded.
     given = scaled = np.asarray(positions, dtype=np.float64)
-    for target in ((distances + lengths) / 2, lengths):
-        found = smacof(target, dimensions=dimensions, start=scaled, options=_NEAR_MINIMUM)
+    for target in map(squareform, ((distances + lengths) / 2, lengths)):
+        found = smacof(target, dimensions=given.shape[1], start=scaled, options=_NEAR_MINIMUM)
         scaled = found.positions
     return fit_similarity(scaled, given).apply(scaled)
-
-
-def _normalised_paths(similarity: Reals) -> Reals:
-    """Return path lengths with a mean of 1, shape (n, n)."""
-    lengths = local_path_lengths(similarity)
-    n_sensors = len(lengths)
-    return np.asarray(lengths * (n_sensors * (n_sensors - 1) / lengths.sum()))
