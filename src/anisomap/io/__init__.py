@@ -1,8 +1,8 @@
 """Read recordings and maps from files, and write them.
 
-`registry` lists every format, and reads and writes with it. `stream` holds the blocks in which
-recordings are read. `recordings` and `maps` hold the formats, and `parsing` the code they share. A
-new format is its reader and writer, and one line in `registry.FORMATS`.
+`registry` lists every format, and reads and writes files. `stream` contains the blocks in which
+recordings are read. `recordings` and `maps` contain the formats, and `parsing` their common code. A
+new format is a reader and a writer, and one line in `registry.FORMATS`.
 """
 
 import lazy_loader

@@ -49,15 +49,15 @@ from anisomap.sensor_map import UNPLACED, SensorMap
 class Format:
     """A file format with its readers and writers, which raise as `read` and `write` do.
 
-    suffixes: They select the writer, and the reader of files that no format recognises by content.
+    suffixes: Suffixes select the writer, and the reader if no format recognises the content.
     recognises: ``recognises(path, head)`` returns whether a file that begins with none of `magics`
         is of this format, by its first bytes, decompressed; none for a folder. It must not raise.
-    edit_map: Returns the lines of a file that change if sensors get other places.
+    edit_map: Returns the lines of a file that change if places of sensors change.
     contents: Lists the possible recordings in a file.
-    extra: Installs the library that reads recordings, in another process.
-    in_metres: Whether the format stores metres, so that a map needs a scale.
-    signature: First bytes of files of anisomap, which decide before `recognises`, since names and
-        notes may contain marks of other formats.
+    extra: Extra that installs the library for recordings, which is used in another process.
+    in_metres: Whether the format stores metres, so that a map requires a scale.
+    signature: First bytes of files by anisomap. They take precedence over `recognises`, since names
+        and notes may contain marks of other formats.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Format:
 
 
 _MAX_LISTED = 3
-_MIN_FRAMES, _MAX_ROWS = 4, 64  # files that may be a frame each, and rows of one
+_MIN_FRAMES, _MAX_ROWS = 4, 64  # number of files that may be single frames, and rows of a frame
 
 # MATLAB comes before HDF5, because version 7.3 files are HDF5. Delimited text is last, because it
 # accepts any text.
@@ -171,7 +171,7 @@ def read(
     Raises
     ------
     FileError
-        If the file is missing, damaged, or holds no recording.
+        If the file is missing or damaged, or does not contain a recording.
     InputError
         If the preset is unknown, or the preset or grid does not fit the recording.
     MissingExtraError
@@ -192,13 +192,13 @@ def read(
     with _open(Path(path), options) as stream, file_errors(stream.path):
         recording = assemble(stream, progress, max_readings)
         found = apply_preset(with_grid(recording, options.grid), options.preset)
-        # A preset renames the sensors, so their positions are known after it.
+        # A preset renames the sensors, so positions are attached after it.
         return attach_positions(found, options.positions) if options.preset else found
 
 
 @contextmanager
 def _said_once() -> Iterator[None]:
-    """Give the same warning about several files once, with the first of them."""
+    """Issue equal warnings about several files once, for the first file."""
     with said_here() as caught:
         yield
     said: dict[str, list[str]] = {}
@@ -213,7 +213,7 @@ def _said_once() -> Iterator[None]:
 def open_stream(
     path: str | os.PathLike[str], *, frames: int = BLOCK_FRAMES, options: ReadOptions | None = None
 ) -> Iterator[Stream]:
-    """Open a recording in blocks of so many frames, of which the last may have fewer."""
+    """Open a recording in blocks of `frames` frames; the last block may have fewer."""
     with _open(Path(path), options or ReadOptions()) as stream:
         yield replace(stream, blocks=rechunk(stream.blocks, frames))
 
@@ -264,12 +264,12 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
     Returns
     -------
     SensorMap
-        Its units are empty if the file does not contain them.
+        The units are empty if the file does not contain them.
 
     Raises
     ------
     FileError
-        If the file is missing, damaged, or holds no positions.
+        If the file is missing or damaged, or does not contain positions.
     MissingExtraError
         If the format needs a library that is not installed.
     """
@@ -283,7 +283,7 @@ def read_map(path: str | os.PathLike[str]) -> SensorMap:
 
 
 def check_no_frames(files: Sequence[Path], runs: Sequence[Recording], options: ReadOptions) -> None:
-    """Refuse files of many small tables without names, which may be a frame or a run each."""
+    """Refuse many files of small tables without names: each may be a frame or a run."""
     shapes = {run.readings.shape for run in runs}
     unnamed = all(run.names == default_names(run.n_sensors) for run in runs)
     if len(runs) < _MIN_FRAMES or len(shapes) != 1 or not unnamed or options.grid:
@@ -298,7 +298,7 @@ def check_no_frames(files: Sequence[Path], runs: Sequence[Recording], options: R
 
 
 def attach_positions(recording: Recording, positions: Path | None) -> Recording:
-    """Give the sensors of a recording the true positions in a file.
+    """Add true positions in a file to a recording.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def attach_positions(recording: Recording, positions: Path | None) -> Recording:
     Raises
     ------
     FileError
-        If the file holds no positions, or none of a sensor of the recording.
+        If the file does not contain positions of sensors of the recording.
     """
     if positions is None:
         return recording
@@ -322,7 +322,7 @@ def attach_positions(recording: Recording, positions: Path | None) -> Recording:
 
 
 def _places(names: Sequence[str], path: object, file: Path) -> dict[str, Any]:
-    """Return the position in a map for each name of a recording, or NaN, and their units."""
+    """Return positions in a map for the names of a recording, NaN if missing, and units."""
     truth = read_map(file)
     rows = match_names(names, truth.names)
     if all(row is None or not truth.placed[row] for row in rows):
@@ -367,7 +367,7 @@ def _open(file: Path, options: ReadOptions) -> Iterator[Stream]:
 
 
 def _find_reader(file: Path, kind: str, what: str) -> tuple[Format, Callable[..., Any]]:
-    """Return the format of a file, and its function to read what is looked for."""
+    """Return the format of a file, and the function that reads the requested contents."""
     chosen = _recognise(file)
     reader = getattr(chosen, kind)
     if reader is None:
@@ -404,9 +404,9 @@ def _recognise(file: Path) -> Format:
 
 
 def files_of(path: str | os.PathLike[str]) -> tuple[Path, ...]:
-    """List the recordings in a folder that is no recording by itself, in the order of its numbers.
+    """List the recordings in a folder in numeric order, unless the folder itself is a recording.
 
-    The path itself is returned if it is a file, or a folder that holds a single recording.
+    The path itself is returned if it is a file, or a folder with a single recording.
     """
     if not isinstance(path, str | os.PathLike):
         raise InputError(
@@ -436,7 +436,7 @@ def write(data: SensorMap | Recording, path: str | os.PathLike[str]) -> None:
     path : path-like
         Maps: ``.csv``, ``.tsv``, ``.npz``, ``.json``, ``.ply``; with a scale also ``.urdf``,
         ``.xacro``, ``.mjcf``, ``.xml``, ``.icub.txt``. Recordings: ``.npz``,
-        ``.csv``, ``.tsv``, ``.txt``. An existing file is replaced after writing has succeeded.
+        ``.csv``, ``.tsv``, ``.txt``. An existing file is replaced only after successful writing.
 
     Raises
     ------
@@ -476,7 +476,7 @@ def corrections(
         A file of a format with lines of numbers: delimited text, taxel positions of an iCub, or the
         display of its skin.
     stated, corrected : SensorMap
-        Of this file, and with other positions.
+        The map in this file, and a map with other positions.
 
     Returns
     -------
@@ -501,7 +501,7 @@ def write_corrected(
     corrected: SensorMap,
     path: str | os.PathLike[str],
 ) -> None:
-    """Write a corrected layout: in the file's own format, only the wrong lines change.
+    """Write a corrected layout; in the format of the source, only incorrect lines change.
 
     Parameters
     ----------
@@ -509,8 +509,8 @@ def write_corrected(
         The file of the stated layout.
     stated, corrected : SensorMap
     path : path-like
-        With the suffix of the source, the lines that are not in `corrections` are the same, byte
-        for byte; else see `write`.
+        With the suffix of the source, lines that are not in `corrections` are equal in each byte;
+        otherwise, see `write`.
 
     Raises
     ------
@@ -529,12 +529,12 @@ def write_corrected(
 
 
 def needs_scale(path: str | os.PathLike[str]) -> bool:
-    """Return whether the format of a file stores metres, so that a map needs a scale."""
+    """Return whether the format of a file stores metres, so that a map requires a scale."""
     return _format_of(Path(path)).in_metres
 
 
 def _format_of(file: Path, writer: str = "write_map") -> Format:
-    """Return the format that a file is written in."""
+    """Return the format for writing a file."""
     able = {s: f for f in FORMATS if getattr(f, writer) for s in f.suffixes}
     matching = [suffix for suffix in able if file.name.lower().endswith(suffix)]
     remedy = remedy_of(file.name.lower())

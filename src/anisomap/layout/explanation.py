@@ -1,4 +1,4 @@
-"""Faults that explain why modules and sensors have other places, in words."""
+"""Texts about the faults that explain changed places of modules and sensors."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from anisomap.layout.modules import Mounting
 from anisomap.layout.sensors import MAX_STEP, chains
 from anisomap.numerics.procrustes import fit_similarity
 
-_SAME = 1e-6  # spacings between places that count as the same: places of others are taken exactly
+_SAME = 1e-6  # spacings between places that count as the same; exchanged places are exact
 _MIN_SHARE = 0.7  # of the sensors of a run that must be shifted equally; chosen by hand
-_SHIFTED = 15.0  # degrees; patches that turn less are told as shifted
+_SHIFTED = 15.0  # degrees; patches that turn less are reported as shifted
 _MAX_NAMED = 6
 
 
@@ -31,10 +31,10 @@ def explain(
     made: Sequence[Proposal],
     names: Sequence[str],
 ) -> list[tuple[str, str, NDArray[np.intp]]]:
-    """Divide the sensors with new places into groups that one fault explains: kind, text, sensors.
+    """Group the sensors with new places by the fault that explains them: kind, text, sensors.
 
     stated, proposed (n, k).
-    made: Proposals that led there.
+    made: Proposals that were accepted.
     """
     distance, owner = KDTree(stated).query(proposed)
     target = np.where(distance <= _SAME * spacing, owner, -1)
@@ -79,7 +79,7 @@ def explain(
 def explain_modules(
     changes: Sequence[Change], mounting: Mounting, names: Sequence[str], usable: NDArray[np.bool_]
 ) -> list[tuple[str, str, list[Change]]]:
-    """Explain changes of modules, those of one patch together: kind, text, and changes."""
+    """Explain changes of modules, grouped by patch: kind, text, and changes."""
     found = []
     for kind, angle, group in _causes(changes, mounting):
         modules = [m for change in group for m in change.modules]
@@ -126,7 +126,7 @@ _Explained: TypeAlias = tuple[str, float, list[Change]]
 
 
 def _causes(changes: Sequence[Change], mounting: Mounting) -> list[_Explained]:
-    """Divide changes by their cause; adjacent modules that are flipped alike have one."""
+    """Group changes by cause; equal flips of adjacent modules have a common cause."""
     found: list[_Explained] = []
     for change in changes:
         if change.together:
@@ -153,7 +153,7 @@ def _in_place(kind: str, angle: float, group: Sequence[Change], listed: Sequence
             return f"{modules} {kind} together{'' if kind == 'mirrored' else f' by {turn}'}"
         if kind == "mirrored":
             return f"{modules} mirrored in their places"
-        if before.shape[1] > 2:  # each about an axis of its own
+        if before.shape[1] > 2:  # each has a different axis
             turn = f"{angle:.0f} degrees"
         return f"{modules} turned by {turn} in their places"
     if kind == "mirrored":
@@ -173,7 +173,7 @@ def motion(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[str
 
 
 def turn_in_words(before: NDArray[np.float64], after: NDArray[np.float64], angle: float) -> str:
-    """Say by how much, in which direction and about which axis places were turned.
+    """Describe angle, direction and axis of the rotation of places.
 
     before, after (m, k). In 3D, the axis points to the side of its largest coordinate.
     """
@@ -194,5 +194,5 @@ def turn_in_words(before: NDArray[np.float64], after: NDArray[np.float64], angle
 
 
 def span(members: NDArray[np.intp], names: Sequence[str]) -> str:
-    """Name a module by its first and last sensors."""
+    """Return the name of a module by its first and last sensors."""
     return f"{names[members[0]]} to {names[members[-1]]}"

@@ -1,4 +1,4 @@
-"""Orientations of all modules together, by chains of flips."""
+"""Joint optimisation of the orientations of all modules by chains of flips."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from scipy.spatial.distance import cdist
 
 from anisomap.layout.evidence import Evidence
 
-_FAR = 4.0  # spacings between two modules up to which they orient each other; chosen by hand
-_LONGEST = 12  # flips of a chain
-_LEAST = 1e-2  # nats by which a chain must gain, which rounding does not
+_FAR = 4.0  # maximum spacings between modules that constrain each other; chosen by hand
+_LONGEST = 12  # maximum number of flips in a chain
+_LEAST = 1e-2  # minimum gain of a chain in nats, above rounding errors
 
 
 @dataclass(frozen=True, eq=False)
 class Orientations:
-    """Log-likelihood of M modules with O orientations each, of which any may be chosen.
+    """Log-likelihood of the orientations of M modules, with O possible orientations each.
 
-    Where a whole patch is mirrored, no module gains by being flipped alone. So chains of flips are
-    followed from each of them, each flip the best of those that are left, also where it loses, and
-    the best beginning of a chain is kept: Kernighan & Lin (1970), Bell System Technical Journal
-    49(2): 291-307.
+    If a whole patch is mirrored, flipping a single module has no gain. Chains of flips are
+    therefore followed from each module: each step makes the best remaining flip, even if it is a
+    loss, and the best initial part of a chain is kept (Kernighan & Lin 1970, Bell System Technical
+    Journal 49(2): 291-307).
 
-    alone (M, O): Of each module with sensors on no module, less the price of a change.
-    pairs (M, M, O, O): Of two modules with each other.
+    alone (M, O): Of each module with sensors without a module, minus the price of a change.
+    pairs (M, M, O, O): Of pairs of modules.
     free (M,): Modules that may be flipped.
     """
 
@@ -43,9 +43,9 @@ class Orientations:
         free: NDArray[np.bool_],
         price: NDArray[np.float64],
     ) -> Orientations:
-        """Look the likelihoods up, for modules whose sensors may be at images (O, m, k).
+        """Compute likelihoods for modules whose sensors may be at images (O, m, k).
 
-        price (O,): Of each orientation, in nats.
+        price (O,): Price of each orientation, in nats.
         """
         kept = [evidence.usable[inside] for inside in members]
         sensors = [inside[chosen] for inside, chosen in zip(members, kept, strict=True)]
@@ -85,7 +85,7 @@ class Orientations:
         return cls(alone, pairs, free)
 
     def best(self, turn: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the orientations that no chain improves, from some orientations (M,) on."""
+        """Improve orientations (M,) until no chain of flips improves them."""
         for _ in range(len(turn)):
             gain, better = self._chain(turn)
             if gain <= _LEAST:
@@ -94,7 +94,7 @@ class Orientations:
         return turn
 
     def _chain(self, turn: NDArray[np.intp]) -> tuple[float, NDArray[np.intp]]:
-        """Follow a chain from each flip, all at once, and return the best beginning."""
+        """Follow a chain from each flip, all simultaneously, and return the best initial part."""
         n_modules, n_turns = self.alone.shape
         modules = np.arange(n_modules)
         starts = np.ones((n_modules, n_turns), bool) & self.free[:, None]

@@ -1,4 +1,4 @@
-"""Modules of a layout: their shape, the places where they are, and their orientations."""
+"""Modules of a layout: shapes, places and orientations."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from anisomap.sensor_map import SensorMap
 
 _MIN_SIZE = 3
 _MAX_GAPS = 100  # channels per sensor
-_MAX_FOLD = 8  # largest order of a rotation that is tried
+_MAX_FOLD = 8  # largest order of rotations tried
 _SAME = 0.3  # of the spacing of pads; errors of places that count as equal; chosen by hand
-_MIN_MAPPED = 0.8  # of the pads that a turned module has in common; thermal pads are others
-_MAX_MISFIT = 0.5  # of the spacing of pads: modules of another shape than the found one
-# Shares of the extent of a module, and of the pads that agree with most others; by hand.
+_MIN_MAPPED = 0.8  # share of pads that a rotation maps to pads; fewer because of thermal pads
+_MAX_MISFIT = 0.5  # of the spacing of pads; modules with more have a different shape
+# Shares of the extent of a module, and share of pads that agree with most others; by hand.
 _SAME_LENGTH, _SAME_PLACE, _AGREEING = 0.15, 0.1, 0.75
-_EXACT = 0.02  # of the extent: pads in unbent places, by which most of them fit a module
-_CLEARLY = 0.5  # of the misfit in order, at most, that of pads in reverse order
-_MAX_PULL = 1.5  # spacings by which bending displaces pads; pads beyond are on no module
-# Of the distance of modules side by side, flat and in space: there, layouts of the iCub that are
-# right otherwise have 0.73.
+_EXACT = 0.02  # of the extent: error of pads in unbent places, if most pads fit a module
+_CLEARLY = 0.5  # maximum misfit of pads in reverse order, relative to pads in order
+_MAX_PULL = 1.5  # spacings by which bending displaces pads; pads with more have no module
+# Minimum distance, relative to adjacent modules, in 2D and 3D; otherwise correct layouts of the
+# iCub have 0.73 in 3D.
 _TOO_NEAR = {2: 0.8, 3: 0.65}
-_NEXT = 1.5  # of the median distance of the nearest modules: modules beside each other
-_FREE = 0.6  # of the spacing between pads of a free place and others
+_NEXT = 1.5  # maximum distance of adjacent modules, relative to the median of nearest modules
+_FREE = 0.6  # minimum distance of pads of a free place from other pads, in spacings
 _MAX_TAKEN = 0.1  # share of the pads of a free place that may be nearer to others
 
 _TOLERANCE = 0.25
@@ -48,10 +48,10 @@ Chosen by hand: layouts of curved bodies bend their modules by up to a tenth of 
 
 _MAX_MODULE = 64  # channels
 _MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
-_CLEARLY_MORE = 0.1  # a multiple of the true size has a share that is hardly larger
-_MAX_SIZES = 8  # sizes of modules that are tried, by how periodic the distances are
-_N_NEXT = 3  # following channels of which distances are compared
-_MIN_PADS = 5  # fewer places are congruent too often by chance
+_CLEARLY_MORE = 0.1  # the share for a multiple of the true size is hardly larger
+_MAX_SIZES = 8  # sizes of modules to try, by periodicity of distances
+_N_NEXT = 3  # following channels whose distances are compared
+_MIN_PADS = 5  # fewer places are too often congruent by chance
 
 
 def find_modules(layout: SensorMap, modules: Modules | int | None = None) -> Modules:
@@ -68,7 +68,7 @@ def find_modules(layout: SensorMap, modules: Modules | int | None = None) -> Mod
     Returns
     -------
     Modules
-        Without a template, unless `modules` has one. Empty if no shapes repeat.
+        Modules without a template, unless `modules` has one. Empty if no shapes repeat.
 
     Raises
     ------
@@ -140,9 +140,9 @@ def rigid_repeats(positions: NDArray[np.float64], numbers: NDArray[np.intp]) -> 
 def blocks_of_size(
     positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int
 ) -> tuple[int, float]:
-    """Divide sensors into blocks of `size` consecutive numbers: first number, and share alike.
+    """Divide sensors into blocks of `size` consecutive numbers: first number, share of congruence.
 
-    Most are congruent, or, if bending makes all unequal, they are as few as possible.
+    The share is maximal, or, if bending makes all blocks unequal, the number of blocks is minimal.
     """
     distances = cdist(positions, positions)
     found = []
@@ -156,7 +156,7 @@ def blocks_of_size(
 
 
 def _share_periodic(positions: NDArray[np.float64], numbers: NDArray[np.intp], size: int) -> float:
-    """Return the share of channels whose next three are as far away as those of `size` later.
+    """Return the share of channels whose distances to the next three repeat `size` channels later.
 
     Modules of this size have most distances between nearby channels in common.
     """
@@ -195,12 +195,12 @@ def _share_congruent(
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """A way in which the pads of a module may lie at its place.
+    """A possible arrangement of the pads of a module at its place.
 
-    angle: Of the rotation, in degrees, in (-180, 180], after a reflection if there is one.
-    places (P, 2): Where the pads are then, in the frame of the module.
-    target (P,): The pad in whose place each pad is then; -1 for a place that no pad has.
-    fits: Whether most pads are where pads were before.
+    angle: Angle of the rotation, in degrees, in (-180, 180], after a reflection if there is one.
+    places (P, 2): Resulting places of the pads, in the frame of the module.
+    target (P,): The pad whose place each pad takes; -1 for a place without a pad.
+    fits: Whether most pads are at places of pads.
     backwards: Whether the pads are in reverse order.
     """
 
@@ -213,10 +213,10 @@ class Orientation:
 
 
 def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
-    """Find the orientations that a module may have at its place, the stated one first.
+    """Find the possible orientations of a module at its place, the stated one first.
 
-    They are its own symmetries. A module with an odd number of these, such as a triangle, also
-    fits lattices half a step further. The last has its pads in reverse order.
+    These are the symmetries of the module. A module of odd symmetry, such as a triangle, also fits
+    lattices half a step further. The last orientation has the pads in reverse order.
 
     template (P, 2): Positions of the pads; NaN for pads that do not exist.
     """
@@ -262,12 +262,12 @@ def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
 def _symmetry(
     pads: NDArray[np.float64], angle: float, allowed: float, *, reflected: bool = False
 ) -> Similarity | None:
-    """Return the rotation or reflection near one by an angle that maps most pads onto pads."""
+    """Return the rotation or reflection near a given angle that maps most pads onto pads."""
     middle = pads.mean(axis=0)
     image = (pads - middle) * [1, -1 if reflected else 1]
     target = _mapped(_turned(image, angle, np.zeros(2)) + middle, pads, allowed)
     for _ in range(2):
-        # Without the pads that map onto none, which pull the centre.
+        # Pads that map onto no pad would displace the centre.
         kept = target >= 0
         if np.mean(kept) < _MIN_MAPPED:
             return None
@@ -296,7 +296,7 @@ def _turned(
 def _mapped(
     image: NDArray[np.float64], points: NDArray[np.float64], allowed: float
 ) -> NDArray[np.intp]:
-    """Return the point that each image falls on, -1 if on none."""
+    """Return the point at which each image lies; -1 if there is none."""
     distances = cdist(image, points)
     order = linear_sum_assignment(np.minimum(distances, 2 * allowed) ** 2)[1]
     return np.where(distances[np.arange(len(points)), order] <= allowed, order, -1)
@@ -304,16 +304,16 @@ def _mapped(
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """Where modules are, each fitted to its stated place, and where they could be.
+    """Modules fitted to their stated places, and other possible places.
 
     members: Sensors of each module, by pad.
-    pads: Their pads.
-    orientations: In which a module fits its place; the first is the stated one.
-    frames (S, k, k), centres (S, k): Of each slot, a place of a module. The first slots are those
-        of the modules, in order; others are free. Rows of a frame are the axes of a module.
+    pads: Pads of these sensors.
+    orientations: Orientations in which a module fits its place; the first is the stated one.
+    frames (S, k, k), centres (S, k): Of each slot, i.e. each place for a module. The first slots
+        belong to the modules, in order; the others are free. Rows of a frame are module axes.
     seats (S, P, k): Places of the pads in each slot, stated if known. Layouts of curved bodies bend
-        modules, which are rigid: only modules in another orientation have seats of their pads.
-    home (n, k): Place of each sensor on its module; NaN for those of none.
+        the rigid modules, so modules take places of pads only in a changed orientation.
+    home (n, k): Place of each sensor on its module; NaN without a module.
     pitch: Spacing of the pads.
     """
 
@@ -328,7 +328,7 @@ class Mounting:
 
     @classmethod
     def of(cls, modules: Modules, positions: NDArray[np.float64], units: str) -> Mounting:
-        """Fit modules to positions (n, k), by their template, or one that they have in common."""
+        """Fit modules to positions (n, k), by their template or by their common shape."""
         k, home = positions.shape[1], np.full_like(positions, np.nan)
         members = [modules.members(m) for m in range(modules.n_modules)]
         members = [inside for inside in members if len(inside) >= MIN_PADS]
@@ -351,7 +351,7 @@ class Mounting:
             fit, pad = _fit_either_way(
                 template, known_pads[there], back, positions[inside[there]], pitch
             )
-            # Pads that are elsewhere say nothing about the orientation of the others.
+            # Displaced pads are no evidence about the orientation of the others.
             at = template[pad] @ fit[0][:2] + fit[1]
             near = np.linalg.norm(at - positions[inside[there]], axis=1) <= _MAX_PULL * pitch
             if np.count_nonzero(near) >= MIN_PADS and (known or fit[2] <= _MAX_MISFIT * pitch):
@@ -381,18 +381,18 @@ class Mounting:
 
     @cached_property
     def _flat(self) -> NDArray[np.float64]:
-        """The pads that exist, (E, 2)."""
+        """Existing pads, (E, 2)."""
         places = self.orientations[0].places
         return places[np.isfinite(places).all(axis=1)]
 
     @cached_property
     def middles(self) -> NDArray[np.float64]:
-        """Middle of the pads in each slot, (S, k)."""
+        """Centre of the pads in each slot, (S, k)."""
         return np.asarray(self._flat.mean(axis=0) @ self.frames[:, :2] + self.centres)
 
     @cached_property
     def adjacent(self) -> NDArray[np.bool_]:
-        """Pairs of modules that are beside each other, (M, M)."""
+        """Pairs of adjacent modules, (M, M)."""
         middles = self.middles[: self.n_modules]
         between = cdist(middles, middles)
         np.fill_diagonal(between, np.inf)
@@ -400,14 +400,14 @@ class Mounting:
 
     @cached_property
     def clearance(self) -> float:
-        """Least distance of the centres of two modules that lie side by side."""
+        """Minimum distance of the centres of two adjacent modules."""
         return 2 * _inscribed(self._flat)[1] + self.pitch
 
     @cached_property
     def overlaps(self) -> list[tuple[int, int, float]]:
-        """Return pairs of modules whose centres are nearer than their shape allows, and how far.
+        """Return pairs of modules whose centres are nearer than the shape allows, and distances.
 
-        On a round skin, modules are tilted, and layouts that were bent hold them less exactly.
+        On a curved skin, modules are tilted, and their places in bent layouts are less exact.
         """
         if self.n_modules < 2:
             return []
@@ -430,20 +430,20 @@ class Mounting:
         return np.stack(found, axis=1)
 
     def places(self, module: int, slot: int, orientation: int) -> NDArray[np.float64]:
-        """Return where the sensors of a module are in a slot, (m, k)."""
+        """Return the places of the sensors of a module in a slot, (m, k)."""
         return np.asarray(self.shapes[slot, orientation, self.pads[module]])
 
     def arranged(
         self, positions: NDArray[np.float64], slots: NDArray[np.intp], turns: NDArray[np.intp]
     ) -> NDArray[np.float64]:
-        """Return positions (n, k) with the modules in slots (M,) and orientations (M,), unbent."""
+        """Return positions (n, k) of unbent modules in slots (M,) and orientations (M,)."""
         found = positions.copy()
         for m, inside in enumerate(self.members):
             found[inside] = self.places(m, int(slots[m]), int(turns[m]))
         return found
 
     def moved(self, modules: Sequence[int], positions: NDArray[np.float64]) -> Mounting:
-        """Return the same with some modules at other positions (n, k), and new free places."""
+        """Return a copy with some modules at other positions (n, k), and new free places."""
         frames, centres = self.frames.copy(), self.centres.copy()
         for m in modules:
             pads = self.orientations[0].places[self.pads[m]]
@@ -451,7 +451,7 @@ class Mounting:
         return replace(self, frames=frames, centres=centres)._seated(positions)
 
     def without(self, modules: Sequence[int], positions: NDArray[np.float64]) -> Mounting:
-        """Return the other modules, at positions (n, k), and the places that are free then."""
+        """Return a copy without some modules, at positions (n, k), with resulting free places."""
         chosen = [m for m in range(self.n_modules) if m not in modules]
         return replace(
             self,
@@ -462,11 +462,11 @@ class Mounting:
         )._seated(positions, [i for m in modules for i in self.members[m].tolist()])
 
     def _seated(self, positions: NDArray[np.float64], gone: Sequence[int] = ()) -> Mounting:
-        """Return the same with seats at positions (n, k), and the free places beside them.
+        """Return a copy with seats at positions (n, k), and with free places adjacent to them.
 
-        Free places are beside modules as other modules are beside others.
+        Free places are relative to modules as adjacent modules are to each other.
 
-        gone: Sensors that are in nobody's way.
+        gone: Sensors that do not occupy places.
         """
         n = self.n_modules
         frames, centres = self.frames[:n], self.centres[:n]
@@ -481,7 +481,7 @@ class Mounting:
         inverse = frames[first].transpose(0, 2, 1)
         steps = np.einsum("ek,ekl->el", centres[second] - centres[first], inverse)
         turns = frames[second] @ inverse
-        # Equal places that bending makes unequal are one.
+        # Places that differ only by bending are merged.
         rounded = np.round(np.hstack([steps / self.pitch, turns.reshape(len(turns), -1)]))
         kinds = np.unique(rounded, axis=0, return_index=True)[1]
         frame = (turns[kinds, None] @ frames).reshape(-1, *frames.shape[1:])
@@ -543,7 +543,7 @@ def _common_shape(
         distance[np.ix_(pads, pads)] = cdist(places, places)
     exist = np.isfinite(distances).any(axis=(0, 1))
     median = np.nanmedian(distances[:, exist][:, :, exist], axis=0)
-    while np.isnan(median).any():  # pads that are on no module together
+    while np.isnan(median).any():  # pads that never occur on the same module
         worst = int(np.isnan(median).sum(axis=1).argmax())
         exist[np.flatnonzero(exist)[worst]] = False
         median = np.delete(np.delete(median, worst, 0), worst, 1)
@@ -562,9 +562,9 @@ def _fit_either_way(
     places: NDArray[np.float64],
     pitch: float,
 ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64], float], NDArray[np.intp]]:
-    """Fit a module with its pads in order, or in reverse order if that is how they lie.
+    """Fit a module with its pads in order, or in reverse order if this fits clearly better.
 
-    back (P,): Of each pad, the one in its place in reverse order.
+    back (P,): For each pad, the pad in its place in reverse order.
     """
     ways, fits, misfits = (pads, back[pads]), [], []
     for way in ways:
@@ -580,7 +580,7 @@ def _fit(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Fit a module, (m, 2), to places, (m, k): axes, origin, and root mean square distance.
 
-    Pads at other places do not count: their distances to most others are not as on the module.
+    Displaced pads are ignored: their distances to most pads differ from those on the module.
     """
     source, between = padded(pads, places.shape[1]), cdist(pads, pads)
     size = float(between.max())

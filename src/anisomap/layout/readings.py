@@ -1,4 +1,4 @@
-"""Similarities of readings, their uncertainty, and which exceed those by chance."""
+"""Similarities of readings, their uncertainty, and tests against chance."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ MIN_FRAMES = 40
 """Minimum number of frames."""
 
 N_PARTS = 10
-"""Parts of a recording of which each is left out once, for the uncertainty of similarities."""
+"""Number of parts of a recording, each left out once for the uncertainty of similarities."""
 
-_ROUNDS = 3  # blocks of each part at least, so that all parts have touched the whole skin
-_LONG = 5.0  # mean contacts that a block lasts: neighbouring blocks should not share contacts
+_ROUNDS = 3  # minimum blocks per part, so that contacts of all parts cover the whole skin
+_LONG = 5.0  # length of a block in mean contacts: adjacent blocks should not share contacts
 _MIN_SHIFT = 0.05  # of the recording: shorter shifts leave contacts correlated; chosen by hand
-_MAX_SHIFTED = 5000  # frames, about, of the null distribution
-_N_BEST = 3  # most similar sensors that show that a sensor says something; chosen by hand
+_MAX_SHIFTED = 5000  # approximate number of frames for the null distribution
+_N_BEST = 3  # most similar sensors in the test of a sensor; chosen by hand
 
 
 @dataclass(frozen=True, eq=False)
 class ReadingStatistics:
-    """Similarities of n sensors, their uncertainty, and which sensors say something.
+    """Similarities of n sensors, their uncertainty, and sensors with significant similarities.
 
     similarity (n, n): Correlation of the ranks of the depths beyond rest.
-    parts (g, n, n): The same without one of g parts of the frames each (jackknife).
+    parts (g, n, n): Similarities without each of g parts of the frames (jackknife).
     tested (n,): Sensors whose similarity to the 3 most similar sensors exceeds that after every
         circular shift of the sensor against all others.
     """
@@ -94,7 +94,7 @@ def reading_statistics(
     similarity = _symmetric(whole)
     least = max(1, int(_MIN_SHIFT * n_frames))
     lags = rng.integers(least, n_frames - least, size=n_shifts, endpoint=True)
-    # Contacts last for many frames, so that a part of these tells as much about chance.
+    # Contacts last for many frames, so a sample of frames suffices for chance.
     every = max(1, n_frames // _MAX_SHIFTED)
     thinned = unit_rows(ranks[::every]).T
     strength = _strength(similarity)
@@ -106,7 +106,7 @@ def reading_statistics(
 
 
 def _part_of_frames(ranks: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Deal blocks of frames that are longer than contacts to the parts in turn, shape (T,)."""
+    """Assign blocks of frames that are longer than contacts to the parts in turn, shape (T,)."""
     n_frames = len(ranks)
     active = ranks > ranks.min(axis=0)
     n_contacts = max(1, int(count_contacts(active).sum()))

@@ -1,4 +1,4 @@
-"""Proposals that single sensors, and runs of them, have the places of others."""
+"""Proposals that single sensors, or runs of sensors, have the places of others."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from scipy.spatial.distance import cdist
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
 
 MAX_STEP = 2
-"""Channels by which a cable may be shifted."""
+"""Maximum shift of a cable in channels."""
 
 _MIN_RUN = 4  # consecutive channels; fewer are swaps and cycles
 _N_RUNS = 5  # runs of each step that are evaluated exactly; chosen by hand
-_N_BINS = 20  # of distances, to about 10 spacings: farther sensors hardly tell places apart
-_PRICE = 0.7 * MIN_GAIN  # of each sensor that is moved
-_DISTINCT = 2.5  # spacings: nearer places are hardly told apart
+_N_BINS = 20  # of distances, up to about 10 spacings: further sensors hardly distinguish places
+_PRICE = 0.7 * MIN_GAIN  # of each moved sensor
+_DISTINCT = 2.5  # spacings: nearer places can hardly be distinguished
 
 
 def chains(following: Mapping[int, int]) -> list[list[int]]:
-    """Divide the keys of a one-to-one map into chains: open ones, which end elsewhere, and cycles.
+    """Divide the keys of a one-to-one map into open chains and cycles.
 
-    An open chain has a last value that is no key.
+    The last value of an open chain is not a key.
     """
     found: list[list[int]] = []
     left = set(following)
@@ -43,7 +43,7 @@ def chains(following: Mapping[int, int]) -> list[list[int]]:
 
 
 def place_gains(evidence: Evidence) -> NDArray[np.float32]:
-    """Return the gain of each usable sensor at the place of each other, which leaves it, (n, n).
+    """Return the gain of each usable sensor at the place of each other sensor, which moves, (n, n).
 
     Rows of other sensors, and the diagonal, are 0.
     """
@@ -64,9 +64,9 @@ def place_gains(evidence: Evidence) -> NDArray[np.float32]:
 
 
 def reassigned(evidence: Evidence, *, alone: bool = False) -> list[Proposal]:
-    """Propose exchanges and cycles of sensors, by one assignment of all to each other's places.
+    """Propose exchanges and cycles of sensors, by an optimal assignment of all sensors to places.
 
-    alone: Exchange sensors with those of which the readings say nothing, instead, if no other
+    alone: Instead, exchange sensors with sensors without evidence in the readings, if no other
         place fits better.
     """
     gains = place_gains(evidence)
@@ -93,9 +93,9 @@ def reassigned(evidence: Evidence, *, alone: bool = False) -> list[Proposal]:
 
 
 def cable_shifts(evidence: Evidence) -> list[Proposal]:
-    """Propose the best run of consecutive sensors that have each other's places, shifted.
+    """Propose the best shifted run of consecutive sensors.
 
-    The gain of every run is the sum of its gains by pair, from two-dimensional cumulative sums.
+    The gain of each run is the sum of gains of pairs, from two-dimensional cumulative sums.
     """
     n_sensors = len(evidence.positions)
     everyone = np.arange(n_sensors)
@@ -108,7 +108,7 @@ def cable_shifts(evidence: Evidence) -> list[Proposal]:
         alone = np.where(evidence.known, evidence.falloff.ratio(evidence.codes, bins), 0)
         outside = alone - evidence.ratios
         inside = evidence.moved(Move(everyone, places)).ratios - evidence.ratios
-        # Of the run a to b: gains to all sensors, less those inside, which move, too.
+        # Of the run a to b: gains to all sensors, minus gains to sensors inside, which also move.
         single = np.concatenate([[0.0], outside.sum(axis=1, dtype=float).cumsum()])
         within = np.zeros((n_sensors + 1, n_sensors + 1))
         within[1:, 1:] = (inside / 2 - outside).astype(float).cumsum(axis=0).cumsum(axis=1)
@@ -119,7 +119,7 @@ def cable_shifts(evidence: Evidence) -> list[Proposal]:
         best = np.argsort(-gains, kind="stable")[:_N_RUNS]
         proposed = []
         for k in best:
-            # Sensors at the end of a run take the places that are left over.
+            # Sensors at the end of a run take the remaining places.
             run = np.arange(max(0, start[k] + min(step, 0)), min(stop[k] + max(step, 0), n_sensors))
             move = Move(run, np.roll(evidence.positions[run], -step, axis=0))
             proposed.append(Proposal(evidence.gain(move), move, "shifted"))

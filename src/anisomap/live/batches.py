@@ -1,4 +1,4 @@
-"""What a source of a live session is, and what it yields."""
+"""Interface of the sources of live sessions, and the items that they yield."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from anisomap.errors import InputError
 from anisomap.sensor_map import SensorMap
 
 WAIT_S = 0.1
-"""Longest time in seconds for which a source waits before it looks whether it must stop."""
+"""Maximum time in seconds for which a source waits before it checks for the end."""
 
-_MAX_READING = float(np.finfo(np.float32).max)  # quick maps are of float32
+_MAX_READING = float(np.finfo(np.float32).max)  # quick maps use float32
 
 RETRY_S = 1.0
 """Time in seconds between two attempts to connect."""
@@ -43,14 +43,14 @@ class Batch:
 
 @dataclass(frozen=True)
 class Names:
-    """Names of all sensors, which a source learns while it runs."""
+    """Names of all sensors, if a source receives them while it runs."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Notice:
-    """An event that users should know of, such as a lost connection, in one sentence."""
+    """A sentence about an event for the user, such as a lost connection."""
 
     text: str
 
@@ -60,18 +60,18 @@ Item: TypeAlias = Batch | Names | Notice
 
 @dataclass(frozen=True)
 class Address:
-    """An address of a source, such as ``tcp://HOST:PORT``, and what sources need of it."""
+    """An address of a source, such as ``tcp://HOST:PORT``, and its parts."""
 
     parts: SplitResult
 
     @property
     def host(self) -> str:
-        """Name or number of a computer; this one by default."""
+        """Name or number of a computer; this computer by default."""
         return self.parts.hostname or "127.0.0.1"
 
     @property
     def port(self) -> int:
-        """Port, which must be given."""
+        """Port; required."""
         if self.parts.port is None:
             url, scheme = self.parts.geturl(), self.parts.scheme
             raise InputError(f"{url} needs a port, as in {scheme}://HOST:PORT")
@@ -84,7 +84,7 @@ class Address:
 
     @property
     def name(self) -> str:
-        """Everything before the query, without slashes around it."""
+        """The part before the query, without enclosing slashes."""
         return unquote(self.parts.netloc + self.parts.path).strip("/")
 
     @property
@@ -94,16 +94,16 @@ class Address:
 
 
 class Source(ABC):
-    """A source of readings, which is opened again when its connection is lost.
+    """A source of readings; it is reopened when the connection is lost.
 
     description: Origin, for the recording and the page.
-    greeting: Said when it is open, with its description.
-    names, truth: Names and true positions of the sensors, if they are known before the first frame.
-    grid: Rows and columns of the sensors, if they are given.
-    ends: Whether the session ends with it, instead of waiting for another connection.
-    can_wait: Whether nothing is lost if it begins later, as in a replay: it begins when the
-        processes that make maps have started.
-    lost: Errors that mean that there is no connection.
+    greeting: Notice when the source is open, followed by the description.
+    names, truth: Names and true positions of the sensors, if known before the first frame.
+    grid: Rows and columns of the sensors, if given.
+    ends: Whether the session ends with the source, instead of waiting for another connection.
+    can_wait: Whether a later start loses nothing, as for a replay: the source then starts after the
+        processes that make maps.
+    lost: Errors that indicate a lost connection.
     is_open: Whether there is a connection.
     """
 
@@ -121,18 +121,18 @@ class Source(ABC):
 
     @abstractmethod
     def receive(self) -> Any:
-        """Wait for `WAIT_S` at most: a TimeoutError says that nothing came, an EOFError the end."""
+        """Receive within `WAIT_S`; raise TimeoutError without content, EOFError at the end."""
 
     @abstractmethod
     def parse(self, content: Any) -> Iterable[Item]:
-        """Find the frames in what was received."""
+        """Find the frames in received content."""
 
     def wait(self) -> Iterable[Item]:
-        """Find frames in what is held, when nothing has come."""
+        """Find frames in buffered content, when nothing was received."""
         return ()
 
     def items(self, stop: Event) -> Iterator[Item]:
-        """Iterate over what arrives, until the source ends or an event is set."""
+        """Iterate over received items, until the source ends or an event is set."""
         told = False
         while not stop.is_set():
             try:

@@ -32,16 +32,16 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import is_faulty
 
 MAX_PLACES = 3
-"""Number of places that are marked: what a person can follow while touching."""
+"""Number of marked places: as many as a person can follow while touching."""
 
-_MOST_DEAD = 0.1  # of the sensors; of more, a part of the skin was never touched
+_MOST_DEAD = 0.1  # share of the sensors; with more, a part of the skin was never touched
 
 
 @dataclass(frozen=True)
 class Advice:
     """Advice to the person who touches the skin: places that lack contacts, most urgent first.
 
-    untouched, dead: Sensors without a contact; those of them around which there were enough.
+    untouched, dead: Sensors without a contact, and those of them with enough contacts around.
     """
 
     places: tuple[Place, ...] = ()
@@ -50,14 +50,14 @@ class Advice:
 
     @property
     def next_sensors(self) -> tuple[int, ...]:
-        """Sensors to touch next, for a simulated hand; none if more contacts would gain little."""
+        """Sensors to touch next, for a simulated hand; none if more contacts gain little."""
         return self.untouched or (self.places[0].sensors if self.places else ())
 
 
 def confirmed_faults(
     health: Iterable[SensorHealth], dead: Collection[str] = ()
 ) -> tuple[SensorHealth, ...]:
-    """Return the sensors that are dead or faulty, but for those that were hardly touched so far."""
+    """Return dead or faulty sensors, except sensors that were hardly touched so far."""
     return tuple(
         one
         for one in health
@@ -69,7 +69,7 @@ def confirmed_faults(
 def advise(
     positions: NDArray[np.float64], touched: NDArray[np.bool_], drop: Collection[int] = ()
 ) -> Advice:
-    """Advise where to touch next. positions (N, k); touched (T, N)."""
+    """Advise on places to touch next. positions (N, k); touched (T, N)."""
     contacts = count_contacts(touched)
     wanted = np.ones(touched.shape[1], dtype=bool)
     wanted[list(drop)] = False
@@ -80,34 +80,34 @@ def advise(
     pairs = neighbouring_sensors(positions)
     need = needed_evidence(contacts, pairs, count_joint_contacts(touched, pairs))
     places = next_places(positions, np.where(wanted & placed, need, 0), n_places=MAX_PLACES)
-    # Sensors without a contact have no place: few of them, when all others had enough, are dead.
+    # Untouched sensors have no place; they are dead if they are few, and all others had enough.
     few = len(untouched) <= max(1, _MOST_DEAD * wanted.sum())
     dead, untouched = ((), untouched) if places or not few else (untouched, ())
     return Advice(places, untouched, dead)
 
 
 QUICK_METHOD = "r-anisomap"
-"""The method of the quick map; it needs nothing but Pearson's r."""
+"""The method of the quick map; it requires only Pearson's r."""
 
 _QUICK = MethodOptions(smacof=SmacofOptions(solver="lbfgs"))
 
 MAX_SENSORS = 4000
-"""Above this number of sensors there is no map before the end of the session: r-ANISOMAP would take
+"""Maximum number of sensors for maps before the end of the session: with more, r-ANISOMAP takes
 more than ten seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class QuickMap:
-    """A map of the frames so far, and what belongs to it.
+    """A map of the frames so far, and related quantities.
 
-    positions (N, k): Centred, with an RMS radius of 1, turned onto the map before; NaN for sensors
-        without one.
-    seconds: Time that the map took to compute.
+    positions (N, k): Centred, with an RMS radius of 1, aligned with the preceding map; NaN for
+        sensors without a position.
+    seconds: Computing time of the map.
     contacts, highest_depth (N,): Separate contacts, and largest excess over rest. Like the map,
-        they are those of a sample of frames that are evenly spread over the session.
-    pairs: Neighbours, which the page joins by lines.
-    left_out: Sensors that were dropped, and channels that are no sensors.
-    reason: Why there is no map; empty if there is one.
+        these are computed from a sample of frames, evenly spread over the session.
+    pairs: Neighbours, joined by lines on the page.
+    left_out: Dropped sensors, and channels that are not sensors.
+    reason: Why there is no map; empty if there is a map.
     """
 
     positions: NDArray[np.float64]
@@ -125,7 +125,7 @@ class QuickMap:
 
 @dataclass
 class QuickMapper:
-    """Makes one map after another, each from the one before.
+    """Makes successive maps; each starts from the preceding one.
 
     dimensions: Number of coordinates; may change between maps.
     drop: Sensors to leave out.
@@ -146,10 +146,10 @@ class QuickMapper:
             self.sample.add(readings.astype(np.float32))
 
     def make(self) -> QuickMap:
-        """Make a map of all frames so far, of which there must be at least one."""
+        """Make a map of all frames so far; requires at least one frame."""
         begun, reason = time.monotonic(), ""
         readings = self.sample.readings
-        readings[:, ~np.isfinite(readings).any(axis=0)] = 0  # of sensors that sent no number
+        readings[:, ~np.isfinite(readings).any(axis=0)] = 0  # sensors without any reading
         recording = Recording(readings).complete("interpolate")
         positions = np.full((recording.n_sensors, self.dimensions), np.nan)
         if recording.n_sensors > MAX_SENSORS:
@@ -206,13 +206,13 @@ def neighbour_lines(positions: NDArray[np.float64]) -> NDArray[np.intp]:
 def warm_start(
     before: NDArray[np.float64], similarity: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return known positions, and guesses for the others. before (N, k), similarity (N, N)."""
+    """Return known positions, and estimates of the others. before (N, k), similarity (N, N)."""
     start = before.copy()
     placed = np.isfinite(before).all(axis=1)
     fresh = np.flatnonzero(~placed)
     if fresh.size:
         best = np.flatnonzero(placed)[np.argmax(similarity[np.ix_(fresh, placed)], axis=1)]
-        # Coincident points have no direction in which to part; the offsets are below a spacing.
+        # Coincident points would stay coincident; the offsets are below a spacing.
         offsets = np.random.default_rng(0).normal(0, 1e-2, (fresh.size, before.shape[1]))
         start[fresh] = before[best] + offsets
     return start
@@ -221,7 +221,7 @@ def warm_start(
 def turned_onto(
     positions: NDArray[np.float64], before: NDArray[np.float64] | None
 ) -> NDArray[np.float64]:
-    """Turn positions (N, k) onto those before, (N, k), with the handedness of these."""
+    """Align positions (N, k) with preceding ones, (N, k), including handedness."""
     placed = np.isfinite(positions).all(axis=1)
     centred = positions - positions[placed].mean(axis=0)
     radius = np.sqrt(np.mean(np.sum(centred[placed] ** 2, axis=1)))
@@ -239,9 +239,9 @@ def turned_onto(
 def read_levels(
     readings: NDArray[np.float64], first: NDArray[np.float64], quick: QuickMap | None
 ) -> NDArray[np.float64]:
-    """Return the deepest reading (N,) of each sensor, from 0 (rest) to 1 (its strongest so far).
+    """Return the deepest reading (N,) of each sensor, from 0 (rest) to 1 (its deepest so far).
 
-    Without a quick map, depths are relative to the first frame, and to the deepest reading of all.
+    Without a quick map, depths are relative to the first frame and the deepest of all readings.
     """
     if quick is not None and len(quick.names) == len(first):
         depth, full = quick.rest.depth(readings), quick.highest_depth

@@ -1,8 +1,8 @@
-"""Processes beside the session: one makes quick maps, one makes checked maps.
+"""Worker processes of a session: one makes quick maps, one makes checked maps.
 
-Frames reach them through the recording on disk, which they read as it grows: the acquisition never
-waits for a map, a backlog takes no memory, and a map of the session is one of the recording. A
-checked map is exactly the map of ``anisomap map``, with its verdict.
+The workers read frames from the growing recording on disk: the acquisition never waits for a map, a
+backlog takes no memory, and maps of the session are maps of the recording. A checked map is exactly
+the map of ``anisomap map``, with its verdict.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from anisomap.recording import Recording
 from anisomap.sensor_map import SensorMap
 
 MAX_INTERIM_READINGS = 1 << 22
-"""Readings of a checked map while the session runs; of more, frames are sampled evenly."""
+"""Maximum readings of a checked map while the session runs; more are sampled evenly."""
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
     """A checked map.
 
-    sensor_map: None if there is no map yet, for the reason of the verdict.
+    sensor_map: None if there is no map yet; the verdict contains the reason.
     error_against_truth: RMS error in spacings, if the truth is known; else NaN.
     n_frames: Number of frames of the recording when it was read.
     final: Whether all frames of the session are in the map.
@@ -65,10 +65,10 @@ class ExaminationOptions:
 
     dimensions: Number of coordinates; "auto" chooses it for each checked map.
     preset: See `ReadOptions`.
-    drop: Sensors to leave out, as `map --drop` takes them; what names no sensor is ignored.
+    drop: Sensors to leave out, as in `map --drop`; unknown names are ignored.
     truth: Positions to compare with.
-    spacing_mm: Distance between neighbouring sensors; 0 if it is not known.
-    contacts: Shape of all contacts: see `diagnose`. The page asks for a fingertip.
+    spacing_mm: Distance between neighbouring sensors; 0 if unknown.
+    contacts: Shape of all contacts: see `diagnose`. The page asks users to touch with a fingertip.
     """
 
     dimensions: Dimensions = AUTO
@@ -118,10 +118,10 @@ def _read(path: Path, options: ExaminationOptions, final: bool) -> Recording:
     return route.complete(route.read_runs([path], how, max_readings=limit), "interpolate")
 
 
-_POLL_S = 0.03  # between two looks at a recording that has not grown
-_READ_BYTES = 1 << 22  # at a time, so that a map of a backlog is made now and then
-_MAX_BEHIND_S = 1.0  # of reading a backlog without a map
-_IDLE_SHARE = 1.0  # pause after a quick map, as a share of its time: others need the processor too
+_POLL_S = 0.03  # between two checks for growth of the recording
+_READ_BYTES = 1 << 22  # read at a time, so that maps are also made during a backlog
+_MAX_BEHIND_S = 1.0  # maximum time of reading a backlog without a map
+_IDLE_SHARE = 1.0  # pause after a quick map, as a share of its time, for other processes
 _NICENESS = 5  # of the process of checked maps
 _FAILED_S = 1.0  # pause after a map that failed
 _MAX_RESTARTS = 3
@@ -130,9 +130,9 @@ _JOIN_S = 0.5  # for a process to end by itself
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker is to map from now on, or once.
+    """A task of a worker: what to map from now on, or once.
 
-    dimensions: Dimensions of quick maps, if the options leave them open.
+    dimensions: Dimensions of quick maps, if the options do not specify them.
     """
 
     segment: Segment
@@ -144,9 +144,9 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a worker sends; the first answer, which is empty, says that it has started.
+    """An answer of a worker; the first answer, sent at its start, is empty.
 
-    number: Number of the file that was mapped.
+    number: Number of the mapped file.
     final: Whether no final map follows.
     """
 
@@ -157,10 +157,10 @@ class Answer:
 
 
 class Worker:
-    """A process that carries out the latest task, and is started again if it dies.
+    """A process that performs the latest task, and is restarted if it dies.
 
     receive: Receives each answer, in a thread.
-    gone: Whether the process died too often to be started again.
+    gone: Whether the process died too often to be restarted.
     """
 
     def __init__(self, role: str, receive: Callable[[Answer], None]) -> None:
@@ -176,7 +176,7 @@ class Worker:
         self._listener.start()
 
     def send(self, task: Task | None) -> None:
-        """Send a task; a dead process gets it when it is started again. None ends the process."""
+        """Send a task; a dead process receives it after a restart. None ends the process."""
         with self._lock, suppress(OSError, ValueError):
             self._task, self._closing = task, task is None
             self._connection.send(task)
@@ -185,7 +185,7 @@ class Worker:
         """End the process."""
         self.send(None)
         self._process.join(_JOIN_S)
-        self._process.kill()  # it is making a map, or was stopped
+        self._process.kill()  # while it makes a map, or if it was stopped
         self._process.join()
         self._listener.join()
         self._connection.close()
@@ -199,7 +199,7 @@ class Worker:
             with _signals_held():
                 process.start()
         finally:
-            theirs.close()  # so that `recv` ends with the process, or without one
+            theirs.close()  # `recv` then ends with the process
         self._process = process
 
     def _listen(self) -> None:
@@ -217,7 +217,7 @@ class Worker:
                 return
             self._receive(Answer(problem=f"{ended} and is started again"))
             with self._lock, suppress(OSError):
-                if self._closing:  # meanwhile
+                if self._closing:
                     return
                 self._connection.close()
                 self._start()
@@ -227,11 +227,11 @@ class Worker:
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Start processes that no signal to the group of the session ends: they inherit the mask."""
+    """Block signals to the process group while processes start, which inherit the mask."""
     if sys.platform == "win32":
         yield
         return
-    resource_tracker.ensure_running()  # which would unblock the signals when it starts
+    resource_tracker.ensure_running()  # its start would unblock the signals
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
@@ -245,7 +245,7 @@ def _checked_map(task: Task) -> Answer:
 
 
 class _QuickMaps:
-    """Follows the recording of a session and maps it again and again."""
+    """Reads the recording of a session as it grows, and maps it repeatedly."""
 
     def __init__(self) -> None:
         self._task: Task | None = None
@@ -262,7 +262,7 @@ class _QuickMaps:
         return Answer(task.segment.number, found, problem) if found or problem else None
 
     def _begin(self, task: Task) -> None:
-        """Map from now on by other options, or another recording."""
+        """Change the options, or map another recording, from now on."""
         before, self._task, self._mapped_frames = self._task, task, 0
         if before is not None and before.segment == task.segment:
             return
@@ -279,7 +279,7 @@ class _QuickMaps:
         self._mapper = QuickMapper(segment.names, task.dimensions)
 
     def _follow(self, task: Task, tail: JournalTail) -> QuickMap | None:
-        """Read what is new, and return a map if it is time for one."""
+        """Read new frames, and return a map if one is due."""
         begun, more = time.monotonic(), True
         while more and time.monotonic() - begun < _MAX_BEHIND_S:
             readings, more = tail.read(_READ_BYTES)
@@ -295,11 +295,11 @@ class _QuickMaps:
         return found
 
     def _sensors(self, task: Task) -> tuple[tuple[str, ...], set[int]]:
-        """Return the names of all channels, and those that are dropped or are no sensors."""
+        """Return the names of all channels, and channels that are dropped or not sensors."""
         given, options = task.segment.names, task.options
         kept = dict(enumerate(given))
         if options.preset:
-            # Presets depend on which values vary, and on the port that the values come from.
+            # Presets depend on varying values, and on the port of the values.
             readings = np.nan_to_num(self._mapper.sample.readings)
             probe = Recording(readings, names=given, source=task.segment.source)
             self._problem = ""
@@ -314,7 +314,7 @@ class _QuickMaps:
 
 def _run(role: str, connection: Connection) -> None:
     """Work until the session closes the connection, or its process ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session ends its workers itself
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the session ends its workers
     is_quick = role == "quick"
     make: Callable[[Task], Answer | None] = _QuickMaps() if is_quick else _checked_map
     with suppress(OSError, AttributeError):

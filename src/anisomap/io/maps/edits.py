@@ -1,4 +1,4 @@
-"""Lines of a file of positions that change when some sensors get other places; the rest stays."""
+"""Changes of lines in a file of positions if places of sensors change; other lines are kept."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from scipy.spatial import KDTree
 from anisomap.sensor_map import SensorMap
 
 _SAME = 1e-9  # of the extent of a layout: differences by rounding
-_DECIMALS = 6  # of a number that is written where whole numbers were
+_DECIMALS = 6  # of numbers that replace whole numbers
 _LINE = re.compile(rb"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+\Z")
 
 
 @dataclass(frozen=True)
 class LineEdit:
-    """A line of a file that changes.
+    """A changed line of a file.
 
-    line: Its number, from 1.
+    line: Number of the line, from 1.
     before, after: The line without its end.
-    text: What changes, in the terms of the file.
+    text: Description of the change, in terms of the file.
     """
 
     line: int
@@ -34,12 +34,12 @@ class LineEdit:
 
 
 def lines_of(path: Path) -> list[str]:
-    """Return the lines of a file with their ends; bytes that are no text are kept, too."""
+    """Return the lines of a file with their ends; bytes that are not text are kept."""
     return [line.decode("utf-8", "surrogateescape") for line in _LINE.findall(path.read_bytes())]
 
 
 def edited(path: Path, edits: Sequence[LineEdit]) -> bytes:
-    """Return the contents of a file with some of its lines changed, all others byte for byte."""
+    """Return the contents of a file with changed lines; all other lines are equal in each byte."""
     lines = lines_of(path)
     for edit in edits:
         line = lines[edit.line - 1]
@@ -48,20 +48,20 @@ def edited(path: Path, edits: Sequence[LineEdit]) -> bytes:
 
 
 def replaced(line: str, fields: Mapping[tuple[int, int], str]) -> str:
-    """Return a line with other text in some of its spans."""
+    """Replace the text in spans of a line."""
     for (start, stop), text in sorted(fields.items(), reverse=True):
         line = line[:start] + text + line[stop:]
     return line
 
 
 def changed_sensors(stated: SensorMap, corrected: SensorMap) -> NDArray[np.intp]:
-    """Return the sensors with another place."""
+    """Return the sensors with changed places."""
     off = np.linalg.norm(corrected.positions - stated.positions, axis=1)
     return np.flatnonzero(off > _rounding(stated))
 
 
 def _rounding(stated: SensorMap) -> float:
-    """Return the largest difference of places that is taken for rounding."""
+    """Return the largest difference of places that counts as rounding."""
     return _SAME * float(np.ptp(stated.positions[stated.placed], axis=0).max())
 
 
@@ -72,11 +72,11 @@ def edited_rows(
 ) -> list[LineEdit]:
     """Change the coordinates of sensors in rows of numbers.
 
-    A sensor that takes the place of another takes the text of its numbers. Normals are those of the
-    nearest stated place.
+    If a sensor takes the place of another, the text of the numbers is copied. Normals are copied
+    from the nearest stated place.
 
-    rows: Number of the line of each sensor, the line, and where its coordinates are, then its
-        normal, if it has one.
+    rows: For each sensor: line number, line, and spans of the coordinates, followed by spans of the
+        normal, if there is one.
     """
     k = stated.dimensions
     placed = np.flatnonzero(stated.placed)
@@ -103,7 +103,7 @@ def edited_rows(
 
 
 def _like(text: str, value: float) -> str:
-    """Format a number with as many decimals as another one, and its decimal mark."""
+    """Format a number with the decimal mark and as many decimals as in another text."""
     mark = "," if "," in text else "."
     decimals = len(re.split("[eE]", text.partition(mark)[2])[0])
     written = f"{value:.{decimals if decimals > 1 else _DECIMALS}f}"

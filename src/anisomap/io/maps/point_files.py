@@ -1,8 +1,8 @@
 """Files of points: PLY, and taxel positions of the iCub.
 
-They hold the placed sensors of a map of up to three dimensions. ASCII point clouds (PLY for mesh
-viewers) have coordinates of doubles, so that they are read back equal; comments restore the names,
-which are s0, s1, ... in other files.
+They contain the placed sensors of a map of up to three dimensions. ASCII point clouds (PLY for mesh
+viewers) store coordinates as doubles, so that they are read back equal. Comments restore the names;
+names in other files are s0, s1, ...
 
 Source: Turk (1994), The PLY polygon file format.
 """
@@ -30,8 +30,8 @@ from anisomap.sensor_map import SensorMap
 
 _AXES = ("x", "y", "z")
 _PLY_COLUMNS = (*_AXES, "nx", "ny", "nz")
-_MOST = 2**31  # numbers of sensors and components: no file has more
-_MAX_DIGITS = 9  # of a number of points: more are in no file, and Python converts few thousand
+_MOST = 2**31  # maximum numbers of sensors and components
+_MAX_DIGITS = 9  # of a number of points; Python refuses to convert thousands of digits
 
 
 def is_ply(path: Path, head: bytes) -> bool:
@@ -61,7 +61,7 @@ def write_ply(sensor_map: SensorMap, path: Path) -> None:
 
 
 def _facts(sensor_map: SensorMap) -> list[str]:
-    """Format what a point cloud cannot hold."""
+    """Format properties that a point cloud cannot represent."""
     placed = np.flatnonzero(sensor_map.placed).tolist()
     errors = {i: float(sensor_map.errors[i]) for i in placed}
     known: dict[str, Scalar] = {
@@ -109,7 +109,7 @@ def read_ply(path: Path) -> SensorMap:
 def _read_vertices(
     path: Path, columns: list[str], lines: Iterable[tuple[int, str]], remarks: list[str], count: int
 ) -> SensorMap:
-    """Read the vertices that a header announces; comments restore what was written."""
+    """Read the vertices declared in a header; comments restore other properties."""
     if not count or not set(_AXES) <= set(columns):
         raise FileError(f"{path} holds no vertices with x, y and z")
     wanted = {columns.index(n): n for n in (*_AXES, "sensor", "component") if n in columns}
@@ -158,8 +158,8 @@ def write_icub(sensor_map: SensorMap, path: Path) -> None:
     """Write ``x y z nx ny nz`` for each value of a port, in metres, zeros without a taxel.
 
     Unique numbers at the ends of all names (``taxel97``) are the indices on the port. The last line
-    is zeros, because one reader of these files drops it; no line starts with a blank, which another
-    rejects.
+    contains zeros, because some readers drop it. No line starts with a blank, which other readers
+    reject.
     """
     skin = to_taxels(sensor_map, "a file of taxel positions")
     ports = np.array(numbers_of(sensor_map.names) or range(sensor_map.n_sensors))[skin.indices]
@@ -185,7 +185,7 @@ def write_icub(sensor_map: SensorMap, path: Path) -> None:
 
 
 def read_icub(path: Path) -> SensorMap:
-    """Read the taxels, named by port index (``taxel97``), without values that have no taxel."""
+    """Read the taxels, named by port index (``taxel97``); values without a taxel are skipped."""
     lines = [line.strip() for line in read_lines(path)]
     if "[calibration]" not in lines:
         raise FileError(f"{path} lacks the line [calibration] that precedes the positions")
@@ -198,7 +198,7 @@ def read_icub(path: Path) -> SensorMap:
     representatives = listed.split()
     positions = {}
     body = [(number, line.split()) for number, line in enumerate(lines[start:], start + 1) if line]
-    # Some programs drop the last line, and some list values of no taxel beyond the lines.
+    # Some programs drop the last line, and some list values without a taxel beyond the lines.
     n_taxels = max((i for i, one in enumerate(representatives, 1) if one != "-1"), default=0)
     if len(body) < min(n_taxels, len(representatives) - 1):
         problem = f"taxel2Repr lists {n_taxels} values, but {len(body)} lines follow"
@@ -219,7 +219,7 @@ def read_icub(path: Path) -> SensorMap:
 
 
 def edit_icub(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineEdit]:
-    """Return the lines of taxels with other places; normals go with the places."""
+    """Return the lines of taxels with changed places; normals are moved with the places."""
     lines = [line.rstrip("\r\n") for line in lines_of(path)]
     start = next(i for i, line in enumerate(lines, 1) if line.strip() == "[calibration]")
     body = [(i, line) for i, line in enumerate(lines[start:], start + 1) if line.strip()]

@@ -1,7 +1,7 @@
 """Models of robots: URDF, and MJCF for MuJoCo.
 
 Sensors are fixed frames of one link, or sites of one body, in metres and right-handed; the z axis
-of each is the surface normal. URDF holds the ``tactile`` element as well, its extension for tactile
+of each is the surface normal. URDF also contains the element ``tactile``, an extension for tactile
 sensors: a channel, and position and shape of each sensor.
 """
 
@@ -35,13 +35,13 @@ _CHANNEL = "tactile"
 _ZERO = "0 0 0"  # the default of URDF
 
 _MAX_BYTES, _MAX_DEPTH = 1 << 24, 1000
-# The first element, after declarations and comments. It takes linear time.
+# The first element, after declarations and comments; matched in linear time.
 _ROOT = re.compile(
     rb"(?:\xef\xbb\xbf)?\s*+(?:(?:<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*+>)\s*+)*+"
     rb"<\s*+([A-Za-z_][\w.-]*+)",
     re.DOTALL,
 )
-# Characters that XML 1.0 cannot represent, not even escaped.
+# Characters that XML 1.0 cannot represent, even if escaped.
 _FORBIDDEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
 
@@ -112,7 +112,7 @@ def _named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
 
 
 def _without_expressions(skin: Taxels, *, escaped: bool) -> Taxels:
-    """Escape or reject names that xacro would evaluate; launch files often pass it plain URDF."""
+    """Escape or reject names that xacro would evaluate; launch files often pass URDF to xacro."""
     names = (skin.frame, *skin.names)
     if escaped:
         # The escape ``$${`` is not enough: xacro drops the text after ``$$`` without a bracket.
@@ -130,7 +130,7 @@ def _without_expressions(skin: Taxels, *, escaped: bool) -> Taxels:
 def _document(
     root: str, attributes: dict[str, str], sensor_map: SensorMap, element: str
 ) -> Element:
-    """Create a document with comments about a map, whose sensors are elements of a kind."""
+    """Create a document with comments about a map; `element` is the tag of its sensors."""
     document = Element(root, attributes)
     lines = [
         f"{int(sensor_map.placed.sum())} sensors in metres, right-handed; the z axis of each "
@@ -159,7 +159,7 @@ def _write(document: Element, path: Path) -> None:
 
 
 def _comment(text: str) -> Any:
-    """Make a comment; text that would end it, and characters that XML forbids, are replaced."""
+    """Make a comment; text that would end the comment and forbidden characters are replaced."""
     plain = _FORBIDDEN.sub("?", " ".join(text.split()))
     # XML forbids two hyphens in a row inside a comment, and with "xacro:eval-comments" xacro
     # evaluates the comments after it.
@@ -211,9 +211,9 @@ def read_mjcf(path: Path) -> SensorMap:
 
 
 def _elements(path: Path) -> Iterator[tuple[list[Any], Any]]:
-    """Yield every element at its end, with those around it; only the parts of joints are kept.
+    """Yield every element at its end, with enclosing elements; only the parts of joints are kept.
 
-    The file is not trusted: it may have no entities, external files, or unlimited size.
+    The file is not trusted: entities, external files and unlimited sizes are refused.
     """
     if path.stat().st_size > _MAX_BYTES:
         raise FileError(f"{path} is larger than {_MAX_BYTES >> 20} MiB, the limit for XML")
@@ -227,7 +227,7 @@ def _elements(path: Path) -> Iterator[tuple[list[Any], Any]]:
         around.pop()
         yield around, element
         if around and around[-1].tag != "joint":
-            del around[-1][0]  # the parser is ahead, so that others may follow
+            del around[-1][0]  # the parser is ahead, so that other elements may follow
 
 
 def _events(path: Path) -> Iterator[tuple[str, Any]]:
@@ -240,7 +240,7 @@ def _events(path: Path) -> Iterator[tuple[str, Any]]:
 
 
 def _part(joint: Any, part: str, key: str, default: str = "") -> str:
-    """Return an attribute of the first such part of a joint."""
+    """Return an attribute of the first part of a joint with a given name."""
     found = joint.find(part)
     return default if found is None else str(found.get(key, default))
 

@@ -1,7 +1,7 @@
-"""Files ``*.ini`` by which the display of an iCub's skin (skinGui) places its triangles.
+"""Files ``*.ini`` with the places of triangles in the display of an iCub's skin (skinGui).
 
-A line ``triangle_10pad NUMBER x y degrees gain mirror`` places a triangle, in millimetres. Where
-the mirror is 1, the display shows a patch from behind: pads are reflected before they are turned.
+A line ``triangle_10pad NUMBER x y degrees gain mirror`` places a triangle, in millimetres. If the
+mirror is 1, the display shows a patch from behind: pads are reflected before they are turned.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from anisomap.sensor_map import DEFAULT_FRAME, SensorMap
 _TRIANGLE = "triangle_10pad"
 _PADS = 12  # numbers per triangle
 _COLUMNS = {2: "x", 3: "y", 4: "degrees"}
-_CENTRE = 3  # pad in the middle of a triangle
-_LEAST = 14.0  # mm between the centres of triangles; those side by side have 18
+_CENTRE = 3  # pad at the centre of a triangle
+_LEAST = 14.0  # minimum distance of centres of triangles in mm; 18 for adjacent triangles
 _MAX_NAMED = 6
-_MIRROR = 6  # field of a line; without it, there is none
-_ROUND = 0.05  # mm or degrees: stated numbers that differ by less stay
+_MIRROR = 6  # field of a line; optional
+_ROUND = 0.05  # mm or degrees: stated numbers that differ by less are kept
 _MAX_TRIANGLE = 10_000
 _MAX_MISFIT = 0.5  # mm; root mean square distance of the pads of a triangle
 _GAIN = 4  # of displays in use
@@ -45,7 +45,7 @@ def is_display(path: Path, head: bytes) -> bool:
 
 
 def read_display(path: Path) -> SensorMap:
-    """Read the pads as the display shows them, by triangle, with the names of the preset icub."""
+    """Read the pads as displayed, by triangle, with the names of the preset icub."""
     placed: dict[int, NDArray[np.float64]] = {}
     part, inside = "", False
     for number, line in enumerate(read_lines(path), 1):
@@ -102,7 +102,7 @@ def _read_triangle(path: Path, line: int, fields: list[str]) -> tuple[int, NDArr
 
 
 def write_display(sensor_map: SensorMap, path: Path) -> None:
-    """Write a flat layout of triangles of an iCub, whose names give boards, triangles and pads."""
+    """Write a flat layout of iCub triangles; names must give boards, triangles and pads."""
     placed = sensor_map.select(np.flatnonzero(sensor_map.placed))
     indices = channels_of(placed.names)
     if indices is None:
@@ -132,7 +132,7 @@ def write_display(sensor_map: SensorMap, path: Path) -> None:
 def _pose(
     positions: NDArray[np.float64], pads: NDArray[np.intp], names: Sequence[str]
 ) -> tuple[float, float, float, int]:
-    """Return x, y, the angle and the mirror of the triangle whose pads have positions in mm."""
+    """Return x, y, angle and mirror of a triangle from positions of its pads in mm."""
     fit = None
     if len(pads) >= MIN_PADS:
         fit = fit_similarity(PADS[pads], positions, scaling=False, reflection=None)
@@ -149,7 +149,7 @@ def _pose(
 
 
 def edit_display(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineEdit]:
-    """Return the lines of triangles with other places, of which only wrong numbers change."""
+    """Return the lines of triangles with changed places; correct numbers are kept."""
     indices = channels_of(stated.names)
     wrong = changed_sensors(stated, corrected)
     if indices is None or not wrong.size:
@@ -170,7 +170,7 @@ def edit_display(path: Path, stated: SensorMap, corrected: SensorMap) -> list[Li
         names = [stated.names[i] for i in members.tolist()]
         x, y, degrees, mirror = _pose(corrected.positions[members], pads[members], names)
         old = float(fields[4])
-        near = old + (degrees - old + 180) % 360 - 180  # as near to the stated angle as can be
+        near = old + (degrees - old + 180) % 360 - 180  # as near to the stated angle as possible
         whole = round(near)
         values = {2: x, 3: y, 4: float(whole) if abs(near - whole) < _ROUND else near}
         new = {

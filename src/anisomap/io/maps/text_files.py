@@ -1,8 +1,8 @@
 """Maps, true positions and lists of modules as delimited text; maps as JSON; CySkin's calibrations.
 
 A map has comments and a table ``name, x, y, z, component, health``, followed by ``error``,
-``cov_xx, cov_xy, ...`` and ``nx, ny, nz`` if it has errors, covariances and normals. In JSON it has
-its properties, then one object per sensor; NaN is null.
+``cov_xx, cov_xy, ...`` and ``nx, ny, nz`` if there are errors, covariances and normals. A JSON file
+contains the properties, then one object per sensor; NaN is null.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def read_text(path: Path) -> SensorMap:
     is_map = "component" in header and "health" in header
     kept = header if is_map else {}
     parse_name = unguard_formula if own else str if is_map else str.strip
-    # Without a header, names come before the numbers.
+    # Without a header, names are in front of the numbers.
     name = next((header[word] for word in _NAMES if word in header), -1 if header else axes[0] - 1)
     covariances = [kept[entry] for entry in _covariance_names(len(axes)) if entry in kept]
     has_covariances = len(covariances) == len(_covariance_names(len(axes)))
@@ -134,7 +134,7 @@ def _positions_of(path: Path) -> SensorMap:
 def _find_columns(
     path: Path, line: int, fields: Sequence[str]
 ) -> tuple[list[int], dict[str, int], str]:
-    """Return the columns of coordinates, those of a header by name, and the unit."""
+    """Return the columns of coordinates, columns of a header by name, and the unit."""
     words = [field.strip().lower() for field in fields]
     matches = [(i, match) for i, word in enumerate(words) if (match := _AXIS.fullmatch(word))]
     axes = {match[1]: (i, match[2] or "") for i, match in matches}
@@ -186,7 +186,7 @@ def write_text(sensor_map: SensorMap, path: Path) -> None:
 
 
 def edit_text(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineEdit] | None:
-    """Return the lines of sensors with other places; None if not every sensor has a line."""
+    """Return the lines of sensors with changed places; None if not every sensor has a line."""
     plain = [line.rstrip("\r\n") for line in lines_of(path)]
     delimiter = find_delimiter(plain)
     rows = list(records(plain, delimiter))
@@ -207,7 +207,7 @@ def edit_text(path: Path, stated: SensorMap, corrected: SensorMap) -> list[LineE
 
 
 def _spans(line: str, delimiter: str | None) -> list[tuple[int, int]]:
-    """Return where the fields of a line are, without blanks around them."""
+    """Return the spans of the fields of a line, without enclosing blanks."""
     pattern = r"\S+" if delimiter is None or delimiter == " " else rf"[^{re.escape(delimiter)}]*"
     found, end = [], -1
     for match in re.finditer(pattern, line):
@@ -220,7 +220,7 @@ def _spans(line: str, delimiter: str | None) -> list[tuple[int, int]]:
 
 
 def _columns(sensor_map: SensorMap) -> dict[str, Iterable[Any]]:
-    """Return the columns of a map, of which errors, covariances and normals may be absent."""
+    """Return the columns of a map; errors, covariances and normals may be absent."""
     dimensions = sensor_map.dimensions
     columns: dict[str, Iterable[Any]] = {
         "name": map(guard_formula, sensor_map.names),
@@ -254,20 +254,20 @@ def _covariances(entries: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def read_modules(path: str | os.PathLike[str], names: Sequence[str]) -> Modules:
-    """Read which sensors are on which module.
+    """Read the modules of sensors.
 
     Parameters
     ----------
     path : path-like
         Delimited text with a header: ``sensor,module`` or ``sensor,module,pad``. Pads are numbered
-        from 0; without them, the sensors of a module are its pads in the order of the file.
+        from 0; without pads, the sensors of a module are its pads in the order of the file.
     names : sequence of str
-        Names of the sensors; others in the file are left out.
+        Names of the sensors; other sensors in the file are left out.
 
     Returns
     -------
     Modules
-        Without a template.
+        Modules without a template.
 
     Raises
     ------
@@ -303,7 +303,7 @@ _INFINITE = "float"
 
 
 def is_json(path: Path, head: bytes) -> bool:
-    """Recognise a JSON object by its start; lines with an object each are no map."""
+    """Recognise a JSON object by its start; a file of lines with one object each is not a map."""
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     first, _, rest = text.partition(b"\n")
     lines = first.rstrip().endswith(b"}") and rest.lstrip().startswith(b"{")
@@ -340,7 +340,7 @@ def write_json(sensor_map: SensorMap, path: Path) -> None:
 
 
 def read_json_map(path: Path) -> SensorMap:
-    """Read a map; the first sensor tells which properties beside the position there are."""
+    """Read a map; the first sensor determines the properties besides positions."""
     document = read_json(path)
     listed = document.get("sensors") if isinstance(document, dict) else None
     if not isinstance(listed, list) or not listed:

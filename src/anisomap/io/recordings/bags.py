@@ -45,18 +45,18 @@ MAGICS = {_ROS1: ".bag", _MCAP: ".mcap", b"SQLite format 3\0": ".db3"}
 """Magic numbers, and the suffixes that rosbags expects."""
 
 METADATA = "metadata.yaml"
-"""The file that makes a folder a bag of ROS 2."""
+"""The file that identifies a folder as a ROS 2 bag."""
 
 _MAX_DEFINITION = 1 << 17  # thousands of fields; rosbags reads 0.2 MB/s
 
-_HEADER_BYTES, _INDEX_AT = 4096, b"index_pos="  # of a bag of ROS 1, and its place in it
+_HEADER_BYTES, _INDEX_AT = 4096, b"index_pos="  # header of a ROS 1 bag, and key of its index
 
 _CELLS = ("cellId", "cell_id")
 _LABELS = ("name", "sensor_pos", *_CELLS)
 _CHANNELS = {"mono": 1, "rgb": 3, "bgr": 3, "rgba": 4, "bgra": 4}
 _DEPTHS = {"U": "u", "S": "i", "F": "f"}
 _WRAP = 1 << 16
-_TAXELS = "sensors.taxels"  # of XELA, with three axes each
+_TAXELS = "sensors.taxels"  # XELA taxels, with three axes each
 
 
 def values_at(message: Any, path: str) -> NDArray[Any]:
@@ -66,7 +66,7 @@ def values_at(message: Any, path: str) -> NDArray[Any]:
 
 
 def names_at(message: Any, path: str) -> tuple[str, ...]:
-    """Name the numbers at a path by the list items that hold them; empty without unique names."""
+    """Name the numbers at a path by the enclosing list items; empty without unique names."""
     names = []
     for label, value in _walk(message, path):
         names += [f"{label}.{i}" for i in range(np.size(value))] if np.ndim(value) else [label]
@@ -77,11 +77,11 @@ def names_at(message: Any, path: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Kind:
-    """How to extract the readings, names and positions in metres of the sensors of a message.
+    """Extraction of readings, names and positions in metres of the sensors of a message.
 
     field: Default path of the readings, such as ``"sensors.taxels.z"``.
     wraps: Whether readings are 16-bit counters that overflow.
-    cell: Whether each message holds one skin cell only.
+    cell: Whether each message contains a single skin cell.
     """
 
     field: str
@@ -104,7 +104,7 @@ def cell_of(message: Any) -> str:
 
 
 def kind_of(message_type: str, fields: list[str]) -> Kind | None:
-    """Return how to read a message type with arrays of numbers in some fields."""
+    """Return the `Kind` of a message type with arrays of numbers in some fields."""
     package, _, name = message_type.partition("/msg/")
     known = KINDS.get(f"{package}/{name}") or KINDS.get(name)
     if known or not fields:
@@ -131,9 +131,9 @@ def _walk(value: Any, path: str, label: str = "", part: str = "") -> Iterator[tu
 
 
 def _label(message: Any, names: Iterable[str], part: str, index: object) -> str:
-    """Return the first of some fields that a message has, or else its index in a list.
+    """Return the first existing field of a message among `names`, else its index in a list.
 
-    A number follows the name of the part, as links and frames of robots need names.
+    A number is appended to the name of the part, since links and frames of robots require names.
     """
     name = next((name for name in names if hasattr(message, name)), "")
     label = str(getattr(message, name) if name else index)
@@ -174,7 +174,7 @@ def _lengths(message: Any, path: str) -> NDArray[np.float64]:
 
 
 def _vectors(message: Any, path: str) -> NDArray[Any]:
-    """Return x, y and z of each taxel, or one of them if the path says so."""
+    """Return x, y and z of each taxel, or a single axis if the path contains it."""
     if path != _TAXELS:
         return values_at(message, path)
     return np.stack([values_at(message, f"{path}.{axis}") for axis in XYZ], axis=1).ravel()
@@ -221,7 +221,7 @@ _MAX_DEPTH = 4
 _NANOSECONDS = 1e9
 
 _Times: TypeAlias = tuple[float, float]
-"""Seconds from the start of the bag until a message was sent and received."""
+"""Times at which a message was sent and received, in seconds from the start of the bag."""
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -316,7 +316,7 @@ class _Bag:
         """Yield the messages of a topic with their time of receipt in nanoseconds."""
         connections = [each for each in self.reader.connections if each.topic == topic]
         for connection, stamp, raw in self.reader.messages(connections):
-            if not isinstance(stamp, int):  # a database holds any type
+            if not isinstance(stamp, int):  # a database may contain any type
                 raise DamagedError(f"{self.path}: the stamp of a message is not a whole number")
             yield self.reader.deserialize(raw, connection.msgtype), stamp
 
@@ -354,7 +354,7 @@ class _Topic:
     kind: Kind
 
     def stream(self) -> Stream:
-        """Create a stream of the sensors of the first message, or of all cells."""
+        """Create a stream of the sensors in the first message, or of all cells."""
         first = next(((m, values) for m, values, _ in self._messages() if values.size), None)
         if first is None:
             raise FileError(f"{self.bag.path}: no message of {self.name} holds a reading")
@@ -396,7 +396,7 @@ class _Topic:
         )
 
     def _messages(self) -> Iterator[tuple[Any, NDArray[Any], _Times]]:
-        """Yield the messages, with their readings and times."""
+        """Yield the messages with readings and times."""
         start = int(self.bag.reader.start_time)
         for message, received in self.bag.messages(self.name):
             stamp = getattr(getattr(message, "header", None), "stamp", None)
@@ -429,7 +429,7 @@ class _Topic:
     def _cells(self) -> tuple[dict[str, int], str]:
         """Return the number of readings of each skin cell, and the cell with most messages."""
         sizes, counts = dict[str, int](), Counter[str]()
-        with suppress(Exception):  # it is raised again when the frames are read
+        with suppress(Exception):  # errors are raised again when the frames are read
             for message, values, _ in self._messages():
                 cell = cell_of(message)
                 sizes.setdefault(cell, values.size)
@@ -461,7 +461,7 @@ class _Topic:
 
 
 def prepare(path: Path) -> Path:
-    """Return the path to open with rosbags, which needs a suffix, and a bag that was closed."""
+    """Return the path to open with rosbags, which requires a suffix and a closed bag."""
     if path.is_dir():
         for each in path.iterdir():
             check_regular(each)
@@ -510,7 +510,7 @@ def _type_name(file: Path) -> str:
 
 
 class _BagFile(io.BufferedReader):
-    """A file that limits reads to its size, because Python allocates memory before it reads."""
+    """A file that limits reads to its size, since Python allocates memory before reading."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path, "r"))

@@ -1,7 +1,7 @@
 """Exports of pressure mats.
 
-An export has a header (``ROWS 3``, ``ROW_SPACING 8.4 mm``, ``SECONDS_PER_FRAME 0.01``), and then
-per frame a line such as ``Frame 1`` and rows of cells, ``B`` for those outside the sensor.
+An export has a header (``ROWS 3``, ``ROW_SPACING 8.4 mm``, ``SECONDS_PER_FRAME 0.01``). For each
+frame, a line such as ``Frame 1`` and rows of cells follow; ``B`` is a cell outside the sensor.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _DAY_S = 86400.0
 
 @dataclass(frozen=True, eq=False)
 class _Header:
-    """Entries above the first frame, with keys in lower case, and the layout of the first frame."""
+    """Entries before the first frame, with keys in lower case, and the layout of that frame."""
 
     entries: dict[str, tuple[float, str]]
     rows: int
@@ -51,7 +51,7 @@ class _Header:
 
 
 def is_mat_export(path: Path, head: bytes) -> bool:
-    """Recognise an export by lines that number frames, and by the size in its header."""
+    """Recognise an export by lines with frame numbers, and by the size in its header."""
     lines = lines_of(head)
     n_frames = sum(1 for line in lines if _FRAME.match(line))
     sizes = {_SIZES.get(match[1].lower()) for line in lines if (match := _ENTRY.match(line))}
@@ -112,7 +112,7 @@ def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, st
             return entries
         if match := _ENTRY.match(line):
             key, unit = match[1].strip().lower().replace("_", " "), match[3].lower()
-            stem, _, last = key.rpartition(" ")  # of ROW_SPACING_MM
+            stem, _, last = key.rpartition(" ")  # as in ROW_SPACING_MM
             key, unit = (stem, last) if stem and last in _LENGTHS and not unit else (key, unit)
             entries[_SIZES.get(key, key)] = (_number(match[2]), unit)
     raise FileError(f"{path}: no frame starts in the first {_MAX_HEADER} lines")
@@ -121,7 +121,7 @@ def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, st
 def _rows_of_frames(
     lines: Iterable[str], n_rows: int
 ) -> Iterator[tuple[int, float | None, list[str]]]:
-    """Yield line, time of day and rows of each frame: `n_rows`, or if 0 those to a blank line."""
+    """Yield line, time of day and rows of each frame: `n_rows` rows, or if 0 up to a blank line."""
     rows, started = list[str](), 0
     clock, before = None, 0.0
     for number, line in enumerate(lines, start=1):
@@ -160,7 +160,7 @@ def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
 
 
 def _after(before: float, clock: re.Match[str]) -> float:
-    """Return a time of day in seconds, on the next day if it is far before the one before."""
+    """Return a time of day in seconds, on the next day if it is far before the preceding time."""
     time = 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + _number(clock[3])
     return time + _DAY_S * (time < before - _DAY_S / 2)
 
@@ -172,7 +172,7 @@ def _is_data(line: str) -> bool:
 
 
 def _plain(line: str) -> str:
-    """Remove quotation marks, and decimal commas inside them."""
+    """Remove quotation marks, and replace decimal commas between them."""
     if '"' not in line:
         return line
     return line.strip().strip('",;').replace('","', ";").replace(",", ".").replace('"', "")

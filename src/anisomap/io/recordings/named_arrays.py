@@ -1,7 +1,7 @@
-"""Files of named arrays: HDF5, and MATLAB of versions 4, 5 and 7.3, the latter with reversed axes.
+"""Files of named arrays: HDF5, and MATLAB versions 4, 5 and 7.3 (with reversed axes).
 
-A recording is any numeric array of frames x sensors, also in a structure of MATLAB. Times of
-spikes, and cells and structures that list contacts, are refused with what would be right.
+A recording is any numeric array of frames x sensors, also in a MATLAB structure. Times of spikes,
+and cells and structures that list contacts, are refused with advice.
 
 Source: The MathWorks (2024). MAT-File Level 5 File Format.
 """
@@ -39,12 +39,12 @@ from anisomap.recording import Scalar
 HDF5_EXTRA, _MAGIC = "hdf5", b"\x89HDF\r\n\x1a\n"
 MAT_EXTRA = "mat"
 MAT_MAGICS = (b"MATLAB 5.0 MAT-file", _MAGIC_73 := b"MATLAB 7.3 MAT-file")
-"""First bytes of versions 5 and 7.3; version 4 has only its suffix."""
+"""First bytes of versions 5 and 7.3; version 4 is recognised only by its suffix."""
 
 _KINDS = {"double": "f", "single": "f", "logical": "u"}
 _KINDS |= {f"{sign}int{bits}": sign or "i" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 _MAX_DEPTH = 64  # of groups
-_WIDE = 10  # columns per row of a matrix that may hold channels first
+_WIDE = 10  # columns per row of a matrix that may have channels first
 
 _NUMBERS, _REAL, _TEXT = "biuf", "iuf", "SUO"
 _POSITIONS = {"positions", "position", "xyz", "coordinates", "taxel_positions", "epos"}
@@ -53,7 +53,7 @@ _RATES = {"rate_hz", "rate", "fs", "fsamp", "srate", "sample_rate", "sampling_ra
 
 @dataclass(frozen=True)
 class Dataset:
-    """A named array in a file, whose first axis is frames if it is a recording.
+    """A named array in a file; its first axis is frames if it is a recording.
 
     name: Name with groups, such as ``"left/readings"``.
     kind: As `numpy.dtype.kind`.
@@ -75,7 +75,7 @@ class Dataset:
 
     @property
     def group(self) -> str:
-        """Groups that hold the dataset."""
+        """Groups that contain the dataset."""
         return self.name.rpartition("/")[0]
 
     def whole(self) -> NDArray[Any]:
@@ -101,7 +101,7 @@ def _stream_of(
     if not options.select and not any(map(_usable, datasets)) and any(map(_of_events, datasets)):
         raise FileError(f"{path} holds events", FROM_EVENTS)
     chosen = choose(path, _contents(datasets), options.select, "dataset")
-    choose(path, [chosen], "", "dataset")  # raises FileError for one that cannot be a recording
+    choose(path, [chosen], "", "dataset")  # raises FileError unless it can be a recording
     dataset = next(each for each in datasets if each.name == chosen.name)
     near = [each for each in datasets if each.group == dataset.group and each.name != dataset.name]
     dataset, names = _frames_first(path, dataset, near)
@@ -158,7 +158,7 @@ def _frames_first(
 
 
 def _of_channels(dataset: Dataset, near: Sequence[Dataset]) -> str:
-    """Return the name of a vector beside a wide matrix that has a value for each of its rows."""
+    """Return the name of a vector with a value for each row of a wide matrix beside it."""
     n_rows, n_columns = dataset.shape
     if n_rows < MIN_TAXELS or n_columns < _WIDE * n_rows:
         return ""
@@ -210,7 +210,7 @@ def _positions(near: Sequence[Dataset], n_sensors: int) -> NDArray[np.float64] |
 def _numbers(
     near: Sequence[Dataset], keys: Collection[str], size: int
 ) -> tuple[str, NDArray[np.float64] | None]:
-    """Return the key and values of the first dataset with one of the keys and so many numbers."""
+    """Return key and values of the first dataset with one of the keys and the requested size."""
     for each in near:
         if each.key in keys and each.kind in _NUMBERS and math.prod(each.shape) == size:
             return each.key, each.whole().astype(np.float64).ravel()
@@ -230,7 +230,7 @@ def is_hdf5(path: Path, head: bytes) -> bool:
 
 
 def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
-    """List the datasets or variables of a file, and the lists that are found in them."""
+    """List the datasets or variables of a file, and lists within them."""
     with _open(path) as (_, datasets):
         return _contents(datasets)
 
@@ -271,7 +271,7 @@ def _open_hdf5(path: Path, *, transposed: bool) -> Iterator[list[Dataset]]:
         found = list[Any]()
 
         def collect(_: str | bytes, item: Any) -> None:
-            # Names of deeper groups take quadratic time.
+            # Names of deeper groups would take quadratic time.
             if _name_of(item).count("/") > _MAX_DEPTH + 1:
                 raise FileError(f"{path}: groups are more than {_MAX_DEPTH} deep; it is damaged")
             found.append(item)
@@ -285,7 +285,7 @@ def _open_hdf5(path: Path, *, transposed: bool) -> Iterator[list[Dataset]]:
 
 
 def _name_of(item: Any) -> str:
-    """Return the path in the file; h5py returns bytes where it is not UTF-8."""
+    """Return the path in the file; h5py returns bytes if it is not UTF-8."""
     return item.name if isinstance(item.name, str) else item.name.decode(errors="replace")
 
 
@@ -308,7 +308,7 @@ def _reader(path: Path, name: str) -> Callable[[int, int], NDArray[Any]]:
     @functools.cache
     def loaded() -> NDArray[Any]:
         found = np.asarray(_load(path, [name])[name])
-        if np.iscomplexobj(found):  # which the listing does not tell
+        if np.iscomplexobj(found):  # not shown in the listing
             raise FileError(f"{path}: variable {quote(name)} is complex; readings are real")
         return found
 

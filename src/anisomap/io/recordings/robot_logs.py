@@ -1,12 +1,12 @@
-"""Text logs of robot skins: of ``yarpdatadumper``, and of CySkin.
+"""Text logs of robot skins: logs by ``yarpdatadumper``, and by CySkin.
 
-YARP writes ``sequence stamp value value ...`` to ``data.log`` in a folder per port, which
-``info.log`` names; there may be two stamps, the sender's and the receiver's, and brackets.
+YARP writes ``sequence stamp value value ...`` to ``data.log`` in a folder per port; ``info.log``
+contains the port. There may be two stamps, of the sender and of the receiver, and brackets.
 
-The port ``skin_events`` of the iCub gives contacts instead of values, and is refused.
+The port ``skin_events`` of the iCub contains contacts instead of values, and is refused.
 
-CySkin's recorder writes a version, the number of taxels, and per frame its number, its time and the
-addresses beside the responses; its acquisition program writes the addresses once::
+The recorder of CySkin writes a version and the number of taxels, and for each frame its number, its
+time, and addresses with responses; the acquisition program writes the addresses once::
 
     1                                            17776 17777 17778
     3                                            0 0.600000 0 0 12
@@ -56,10 +56,10 @@ _BY_PYTHON = "ten lines of Python make readings of them, which docs/robots/icub.
 
 
 def _is_contact_log(path: Path) -> bool:
-    """Return whether the first line of a log with any value holds contacts."""
+    """Return whether the first line with any value in a log contains contacts."""
     with open_text(path) as stream, suppress(*GZIP_ERRORS):
         for line in stream:
-            # A line may hold no more than a sequence number, two stamps and an empty list.
+            # A line may contain only a sequence number, two stamps and an empty list.
             n_numbers = len(line.partition("(")[0].split())
             without_value = _STAMPED_ONLY.fullmatch(line) and n_numbers <= _MAX_STAMPED
             if not is_skipped(line) and not without_value:
@@ -73,14 +73,14 @@ _LINE = re.compile(rb"\s*+(\d++)\s++(\d++(?:\.\d*+)?(?:[eE][+-]?\d++)?)(?:\s++([
 _CONNECTED = "[connected]"
 _INFO_BYTES = 1 << 16
 _LINES_LOOKED_AT, _ROWS_LOOKED_AT = 3, 1000
-# Seconds since 1970: below the stamps of any recording, above any reading.
+# Seconds since 1970, below the stamps of all recordings and above all readings.
 _EPOCH = 1e8
 _SAME_CLOCK_S = 60.0
 _BRACKETS = str.maketrans("()", "  ")
 
 
 def is_yarp(path: Path, head: bytes) -> bool:
-    """Recognise a count, a stamp (in a ``data.log`` also from 0) and values."""
+    """Recognise a count, a stamp (which may start at 0 in a ``data.log``) and values."""
     if path.is_dir():
         return bool(_logs(path))
     lines = head.splitlines()
@@ -108,7 +108,7 @@ def contents(path: Path, options: ReadOptions) -> tuple[Content, ...]:
 def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a data.log, its folder, or ports of a session.
 
-    Times are the sender's stamps, or the receiver's if the sender's do not increase.
+    Times are the stamps of the sender, or of the receiver if the former do not increase.
     """
     wanted, logs = [name.strip() for name in options.select.split(",")], _logs(path)
     if log := logs.get(_HERE):
@@ -125,7 +125,7 @@ def open_yarp(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 
 def _logs(path: Path) -> dict[str, Path]:
-    """Return a log, or that of a folder, else those of a session by folder, at most two deep."""
+    """Return a log, the log of a folder, or the logs of a session by folder, at most two deep."""
     here = path / _FILE if path.is_dir() else path
     if here.is_file():
         return {_HERE: here}
@@ -134,7 +134,7 @@ def _logs(path: Path) -> dict[str, Path]:
 
 
 def _port(log: Path) -> str:
-    """Read the name of the port from info.log; empty if it is not there."""
+    """Read the name of the port from info.log; empty if it is missing."""
     try:
         with open_regular(log.parent / _INFO) as stream:
             lines = stream.read(_INFO_BYTES).decode("utf-8", "replace").splitlines()
@@ -206,13 +206,13 @@ def _has_two_stamps(values: NDArray[np.float64]) -> bool:
 _WHOLE = re.compile(r"\d{1,9}", re.ASCII)
 _TIME = re.compile(r"\d{1,15}(?:\.\d{1,15})?(?:e[+-]?\d{1,2})?", re.ASCII)
 _MIN_ADDRESSES = 2
-# The acquisition program skips responses from here on as errors of a sensor.
+# The acquisition program skips greater responses as errors of a sensor.
 _FIRST_ERROR = 43_000
 
 
 @dataclass(frozen=True)
 class _Addresses:
-    """The first line of frames, from 1, and the addresses; inside the frames if `repeated`."""
+    """The first line of frames, from 1, and the addresses; `repeated`: within each frame."""
 
     first_line: int
     addresses: tuple[str, ...]

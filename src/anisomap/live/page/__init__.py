@@ -1,6 +1,6 @@
-"""The page of a session in the browser: what it shows, as plain data, and what its buttons do.
+"""The page of a session in the browser: its contents as plain data, and actions of its buttons.
 
-At the end, the page is written as one file that needs no session: see `save_page`.
+At the end, the page is written as one file that does not require a session: see `save_page`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.sensor_map import SensorMap
 
 STATIC = Path(__file__).parent / "static"
-"""Files of which the page is made."""
+"""Source files of the page."""
 
 _MODULES = ("charts.js", "map_view.js", "live.js")  # in the order of their imports
 _BETWEEN_MODULES = re.compile(r"^(?:import .*$|export )", re.MULTILINE)
@@ -98,8 +98,8 @@ _DIGITS = 3  # of seconds and errors
 
 
 def readings_snapshot(session: LiveSession) -> dict[str, Any]:
-    """Return what changes with every frame: counts, and the readings from 0 to 255."""
-    is_open = session.state == "running"  # nothing is known of readings that do not come
+    """Return values that change with every frame: counts, and the readings from 0 to 255."""
+    is_open = session.state == "running"  # otherwise, current readings are unknown
     return {
         "frames": session.recorder.n_frames,
         "seconds": round(session.seconds, _DIGITS),
@@ -108,7 +108,7 @@ def readings_snapshot(session: LiveSession) -> dict[str, Any]:
 
 
 def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
-    """Return the quick map and, turned onto it, the checked map; None before the first one."""
+    """Return the quick map, and the checked map aligned with it; None before the first map."""
     quick, checked = session.maps.quick, session.maps.checked
     if quick is None:
         return None
@@ -137,7 +137,7 @@ def map_snapshot(session: LiveSession) -> dict[str, Any] | None:
 
 
 def status_snapshot(session: LiveSession) -> dict[str, Any]:
-    """Return the rest: verdict, curves, faults, advice, notices and files."""
+    """Return all other contents: verdict, curves, faults, advice, notices and files."""
     maps, checked = session.maps, session.maps.checked
     verdict = Verdict() if checked is None else checked.verdict
     error = math.nan if checked is None else checked.error_against_truth
@@ -187,7 +187,7 @@ def status_snapshot(session: LiveSession) -> dict[str, Any]:
 
 
 def save_page(session: LiveSession, path: Path, files: Sequence[Path]) -> Path:
-    """Write the page as it is at the end: one file, with the final map and links to files."""
+    """Write the final page: one file, with the final map and links to files."""
     places = [Path(os.path.relpath(file, path.parent)).as_posix() for file in files]
     links = [
         {"name": file.name, "url": quote(place, errors="surrogateescape")}
@@ -213,14 +213,14 @@ def save_page(session: LiveSession, path: Path, files: Sequence[Path]) -> Path:
 
 
 def _in_order(made: SensorMap, values: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64]:
-    """Return values of the largest component by the sensors of the quick map, NaN for others."""
+    """Return values of the largest component in the order of the quick map; NaN for others."""
     own = {made.names[i]: values[i] for i in np.flatnonzero(made.component == 0)}
     unknown = np.full(values.shape[1:], np.nan)
     return np.array([own.get(name, unknown) for name in quick.names])
 
 
 def _checked_positions(made: SensorMap | None, quick: QuickMap) -> NDArray[np.float64] | None:
-    """Return the checked map in the frame of the quick one, by the names of the sensors."""
+    """Return the checked map in the frame of the quick map, matched by names of sensors."""
     if made is None:
         return None
     found = _in_order(made, made.positions, quick)
@@ -231,7 +231,7 @@ def _checked_positions(made: SensorMap | None, quick: QuickMap) -> NDArray[np.fl
 
 
 def _aligned(found: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64] | None:
-    """Fit positions of the sensors of a quick map to it, in its dimensions; None for too few."""
+    """Align positions with a quick map, in its dimensions; None for too few sensors."""
     shared = np.isfinite(found).all(axis=1) & np.isfinite(quick.positions).all(axis=1)
     width = max(found.shape[1], quick.positions.shape[1])
     if np.count_nonzero(shared) <= width:
@@ -243,7 +243,7 @@ def _aligned(found: NDArray[np.float64], quick: QuickMap) -> NDArray[np.float64]
 
 def _doubt(quick: QuickMap) -> NDArray[np.float64]:
     """Return the uncertainty of each sensor, from 0 to 1 for a sensor without a contact."""
-    # The standard error of a mean over independent contacts falls with the root of their number.
+    # The standard error of a mean over n independent contacts is proportional to n^(-1/2).
     return np.asarray(1 / np.sqrt(1.0 + quick.contacts))
 
 

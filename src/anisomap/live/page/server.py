@@ -1,7 +1,7 @@
 """The page of a session: a small web server for one person, on this computer.
 
 Readings, maps and the status are sent as server-sent events (HTML Living Standard, section 9.2),
-which browsers reconnect by themselves; actions are posted. The page loads nothing from elsewhere.
+which browsers reconnect automatically; actions are posted. The page loads nothing from other hosts.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}  # as of any system
+_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}  # on any system
 _BYTES = {"errors": "surrogateescape"}  # of file names
-_STATUS_S = 0.5  # between two states of what changes slowly
-_KEEP_S = 2.0  # for browsers to take the page at the end
+_STATUS_S = 0.5  # between two updates of slowly changing values
+_KEEP_S = 2.0  # for browsers to load the page at the end
 # Address or name, port.
 _HOST = re.compile(r"(?:\[([0-9a-fA-F:.]+)\]|([0-9A-Za-z.-]+))(?::\d{1,5})?")
-_TIMEOUT_S = 20.0  # of a connection that takes nothing
+_TIMEOUT_S = 20.0  # of a connection that accepts no data
 _MAX_BODY = 1 << 23
-_MAX_DIGITS = 20  # of a length; those of numbers of 64 bits
+_MAX_DIGITS = 20  # of a length, as in 64-bit numbers
 _MAX_VIEWERS = 16
 _TOKEN = "token"  # noqa: S105 (the name of a cookie)
-_POST_HEADER = "X-Anisomap"  # other sites cannot send it without asking first
+_POST_HEADER = "X-Anisomap"  # other sites cannot send it without a preflight request
 
 
 class Server(ThreadingHTTPServer):
-    """Serves the page of a session in threads of its own, until the end of its context.
+    """Serves the page of a session in separate threads, until the end of its context.
 
-    host: Address to listen on. For others than the loopback, the page requires a token.
+    host: Address to listen on. Unless it is the loopback address, the page requires a token.
     port: 0 for any free port.
     url: Address of the page, with the token if there is one.
     """
@@ -81,7 +81,7 @@ class Server(ThreadingHTTPServer):
         self._thread.start()
 
     def keep(self, page: Path) -> None:
-        """Give the page at the end to browsers, which show it when they reload the address."""
+        """Serve the final page, which browsers show when they reload the address."""
         self.end = page
         if self.is_watched:
             self.kept.wait(_KEEP_S)
@@ -93,7 +93,7 @@ class Server(ThreadingHTTPServer):
         self._thread.join()
 
     def handle_error(self, *_: object) -> None:
-        """Ignore errors of a connection, such as a browser that was closed; log defects."""
+        """Ignore errors of a connection, such as a closed browser; log defects."""
         error = sys.exception()
         if not isinstance(error, OSError):
             logger.error("the page failed to answer a request", exc_info=error)
@@ -107,12 +107,12 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _TIMEOUT_S
 
     def log_message(self, *_: object) -> None:
-        """Log nothing: requests are no results."""
+        """Do not log requests."""
 
     def do_GET(self) -> None:
         """Answer a request for a file, an event stream or a download."""
         address = _split(self.path)
-        if self.server.closing.is_set():  # on a connection that is still open
+        if self.server.closing.is_set():  # a connection may still be open
             self.close_connection = True
             return
         if not self._allowed(address.query):
@@ -131,7 +131,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such page")
 
     def do_POST(self) -> None:
-        """Carry out an action."""
+        """Perform an action."""
         if not self._allowed(""):
             return
         length = self.headers.get("Content-Length", "")
@@ -161,7 +161,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send_json({"ok": True, "text": done.text, "files": links})
 
     def _allowed(self, query: str) -> bool:
-        """Check who asks: names of other hosts (DNS rebinding), other sites, the token."""
+        """Check the host name (DNS rebinding), the origin and the token of a request."""
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin")
         if origin is not None and origin != f"http://{host}":
@@ -249,7 +249,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _stream(server: Server, send: Callable[[str, object], None]) -> None:
-    """Send the state of a session again and again; a slow reader misses states, not the last."""
+    """Send the state of a session repeatedly; a slow reader misses states except the last."""
     session, has_end = server.session, False
     shown: tuple[object, object] = (None, None)
     tick, told = -1, 0.0
@@ -272,7 +272,7 @@ def _stream(server: Server, send: Callable[[str, object], None]) -> None:
 
 
 def _split(address: str) -> SplitResult:
-    """Split an address; one that is not valid, such as ``//[``, has no parts."""
+    """Split an address; an invalid address, such as ``//[``, has no parts."""
     try:
         return urlsplit(address)
     except ValueError:

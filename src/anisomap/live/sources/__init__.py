@@ -1,6 +1,6 @@
-"""Sources of live sessions: where the frames come from.
+"""Sources of the frames of live sessions.
 
-Recordings that are replayed and a simulated hand are here, the others in `connections`. To add a
+Replays of recordings and a simulated hand are here, all other sources in `connections`. To add a
 source, add a subclass of `Source` that is made from an `Address`, both of `anisomap.live.batches`,
 and one line to `SOURCES`.
 """
@@ -33,7 +33,7 @@ from anisomap.simulation.options import options_for
 
 
 class Entry(NamedTuple):
-    """A kind of source: an example of its addresses, and what opens the source at one."""
+    """A kind of source: an example of an address, and the function that opens a source."""
 
     example: str
     open: Callable[[Address], Source]
@@ -52,7 +52,7 @@ SOURCES: Mapping[str, Entry] = MappingProxyType(
 
 
 def open_source(text: str, *, speed: float = 1.0, grid: tuple[int, int] | None = None) -> Source:
-    """Open a source; `grid` gives rows and columns of the sensors of lines, or of a recording."""
+    """Open a source; `grid` gives rows and columns of the sensors in lines or in a recording."""
     scheme, colon, _ = text.partition("://")
     if text == "-" or (colon and scheme in SOURCES):
         try:
@@ -72,21 +72,21 @@ def open_source(text: str, *, speed: float = 1.0, grid: tuple[int, int] | None =
 
 
 DEFAULT_RATE_HZ = 50.0
-"""Rate of recordings that state none; that of the iCub's skin."""
+"""Default rate of recordings without a rate; the rate of the iCub's skin."""
 
 BOUT_FRAMES = 40
-"""Frames for which the hand rubs one place: 2 s, in which a person looks at the page again."""
+"""Frames for which the hand rubs one place: 2 s, the time between two looks at the page."""
 
 Advised: TypeAlias = tuple[Sequence[int], NDArray[np.intp] | None]
 
-_BATCH_S = 0.05  # longest time between two batches, so that the page moves smoothly
+_BATCH_S = 0.05  # maximum time between two batches, for smooth animation
 _MAX_BATCH = 512
 
 
 class _Paced(Source):
-    """Batches that are due at their times.
+    """Batches that are yielded at their times.
 
-    speed: Multiple of that; 0 for as fast as possible.
+    speed: Multiple of real time; 0 for as fast as possible.
     """
 
     greeting = ""
@@ -98,7 +98,7 @@ class _Paced(Source):
 
     @abstractmethod
     def batches(self) -> Iterator[Batch]:
-        """Iterate over batches, with times from 0 on."""
+        """Iterate over batches; times start at 0."""
 
     @contextmanager
     def open(self) -> Iterator[None]:
@@ -122,7 +122,7 @@ class _Paced(Source):
 
 
 class Replay(_Paced):
-    """A recording that is replayed at its rate, or faster; it is read in blocks."""
+    """A replay of a recording at its rate, or faster; the recording is read in blocks."""
 
     def __init__(
         self, path: Path, speed: float = 1.0, options: io.ReadOptions | None = None
@@ -150,7 +150,7 @@ class Replay(_Paced):
 
 
 def _times(block: Block, begin: float, step: float) -> NDArray[np.float64]:
-    """Return the times of a block from `begin` on; equal steps unless it has increasing times."""
+    """Return the times of a block from `begin`; equal steps unless it has increasing times."""
     own = block.times
     if own is not None and np.isfinite(own).all() and (np.diff(own) > 0).all():
         return np.asarray(begin + (own - own[0]))
@@ -158,11 +158,11 @@ def _times(block: Block, begin: float, step: float) -> NDArray[np.float64]:
 
 
 class SimulatedHand(_Paced):
-    """A palm on a body. It asks before each bout where to rub.
+    """A palm on a body; it requests the place of each bout.
 
     speed: Multiple of the speed of a human hand, about 20 frames per second.
-    where: Returns the sensors to rub next, by index, and the contacts of each sensor if they are
-        known; no sensors for anywhere.
+    where: Returns the indices of sensors to rub next, and the contacts of each sensor if known; no
+        sensors for any place.
     """
 
     def __init__(self, body: Body, seed: int = 1, speed: float = 1.0) -> None:

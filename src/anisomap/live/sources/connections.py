@@ -18,19 +18,19 @@ from anisomap.live.batches import RETRY_S, WAIT_S, Address, Batch, Item, Names, 
 from anisomap.live.sources.lines import LineParser
 
 READ_BYTES = 1 << 16
-"""Number of bytes that are read at once."""
+"""Number of bytes read at once."""
 
-_RECEIVE_BUFFER = 1 << 22  # of datagrams, which the system drops when it is full
+_RECEIVE_BUFFER = 1 << 22  # bytes; the system drops datagrams when the buffer is full
 _BAUD = "115200"
 
-_RESOLVE_S = 1.0  # for one search for an LSL stream; it is repeated
-_BUFFER_S = 60  # that the library of LSL keeps if we are slow
+_RESOLVE_S = 1.0  # for one search for an LSL stream; searches are repeated
+_BUFFER_S = 60  # seconds of data that the LSL library buffers
 
 
 class _Lines(Source):
-    """Bytes, of which each line is a frame.
+    """Bytes in which each line is a frame.
 
-    whole: Whether what is received ends with a whole line, even without an end of line.
+    whole: Whether received bytes end with a whole line, even without an end of line.
     """
 
     whole = False
@@ -56,7 +56,7 @@ class StandardInput(_Lines):
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        # The thread ends with the process: not all systems can wait for standard input.
+        # The thread ends with the process, since some systems cannot wait for standard input.
         threading.Thread(target=self._read, daemon=True).start()
         self._parser = LineParser(self.grid)
         yield
@@ -79,7 +79,7 @@ class StandardInput(_Lines):
 
 
 class Tcp(_Lines):
-    """Lines from a server; a line that is cut by the end of a connection is dropped."""
+    """Lines from a server; a line cut off by the end of a connection is dropped."""
 
     def __init__(self, address: Address) -> None:
         self._place = address.host, address.port
@@ -101,7 +101,7 @@ class Tcp(_Lines):
 
 
 class Udp(_Lines):
-    """Datagrams, each with one or several whole lines; a port in use is reported at once."""
+    """Datagrams, each with one or several whole lines; a port in use is reported immediately."""
 
     whole = True
 
@@ -131,12 +131,12 @@ class Udp(_Lines):
     def receive(self) -> bytes:
         try:
             return self._socket.recv(READ_BYTES) or b"\n"
-        except ConnectionError as error:  # on Windows, of a datagram that was sent
+        except ConnectionError as error:  # on Windows, caused by a sent datagram
             raise TimeoutError from error
 
 
 class SerialPort(_Lines):
-    """Lines from a serial port, which is opened again when it was unplugged.
+    """Lines from a serial port, which is reopened after it was unplugged.
 
     The option ``baud`` is the number of symbols per second.
     """
