@@ -17,13 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.base.clocks import is_time, seconds
-from anisomap.base.columns import (
-    find_others,
-    find_taxels,
-    frames_of,
-    names_of_frame,
-    without_units,
-)
+from anisomap.base.columns import examine, frames_of, names_of_frame
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
 
@@ -131,17 +125,12 @@ def _of_array(array: NDArray[Any]) -> Taken:
 
 def _sensors(readings: NDArray[Any], names: Sequence[str]) -> Taken:
     """Leave out columns that are no sensors, and take z of taxels with three axes."""
-    others = find_others(names, readings[:1000])
-    names = without_units(names)
-    taxels = find_taxels(names, others)
-    others |= taxels.others if taxels else {}
-    if others:
-        listed = join_items([f"{names[i]} ({what})" for i, what in others.items()])
-        _say(f"these columns do not look like sensors and are left out: {listed}")
+    names, others, taxels, said = examine(names, readings[:1000])
+    for text in said.values():
+        _say(text)
     kept = [i for i in range(readings.shape[1]) if i not in others]
     own = tuple(names[i] for i in kept) if names else ()
     if taxels:
-        _say(f"{len(taxels.columns)} taxels with three axes: z is taken; give one column each")
         kept, own = taxels.kept(names, others)
     whole = len(kept) == readings.shape[1]
     return Taken(_floats(readings if whole else readings[:, kept]), own)

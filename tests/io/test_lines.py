@@ -127,7 +127,7 @@ def test_dates_and_clocks(put, header: str, stamp: str) -> None:
     np.testing.assert_allclose(found.times, np.arange(40) / 50, atol=1e-6)
 
 
-WORDS = ("NA", "n/a", "null", "None", "NaN", "-", "", "nil", "?", "--", "#N/A")
+WORDS = ("NA", "n/a", "null", "None", "NaN", "-", "", "nil", "?", "--", "#N/A", "#DIV/0!")
 
 
 @pytest.mark.parametrize("mark", [",", ";", "\t", "|"])
@@ -242,6 +242,48 @@ def test_rows_without_a_name_are_told_by_their_changes(put, numbered: bool) -> N
     np.testing.assert_array_equal(found.readings, SLOW)
     frames = "".join(f"{i % 7},{joined(row)}\n" for i, row in enumerate(SLOW.tolist()))
     np.testing.assert_array_equal(read_alike(put("frames.csv", frames)).readings, SLOW)
+
+
+@pytest.mark.parametrize("mark", [-1, 65535, -32768, 2**32 - 1, -9999, 3.402823e38])
+@pytest.mark.parametrize("n_marks", [0, 1, 2])
+def test_numbers_for_missing_readings(put, mark: float, n_marks: int) -> None:
+    slow = np.round(np.abs(SLOW)) + 5.0
+    slow[:, :2] += slow.max()
+    slow[1::20, :n_marks] = mark
+    slow[:, 4] = mark  # not connected
+    path = put("run.csv", "".join(joined(row) + "\n" for row in slow.tolist()))
+    if not n_marks:
+        np.testing.assert_array_equal(read_alike(path).readings, slow)
+        return
+    with pytest.warns(AnisomapWarning, match=r"missing reading in s0.* \(first in frame 1\)"):
+        found = io.read(path)
+    slow[:, :4][slow[:, :4] == mark] = np.nan
+    np.testing.assert_allclose(found.readings, slow)
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+def test_lines_that_were_sent_twice_or_cut(put) -> None:
+    whole = np.round(SLOW).astype(int) + 50_000
+    rows = [f"{t / 50},{joined(row)}\n" for t, row in enumerate(whole.tolist())]
+    twice = "".join([*rows[:30], *rows[29:]])
+    for text, kept in ((twice, 200), ("".join(rows)[:-4], 199), ("".join(rows)[:-1], 200)):
+        found = read_alike(put("run.csv", text))
+        np.testing.assert_array_equal(found.readings, whole[:kept])
+        assert found.rate_hz == pytest.approx(50)
+
+
+def test_frames_that_begin_within_a_frame(put) -> None:
+    at = np.abs(SLOW[:, :1, None] / 9 % 16 - 8)
+    frames = np.round(99 * np.maximum(0, 2 - np.abs(np.arange(8)[:, None] - at)) + np.zeros(4))
+    lines = "".join(joined(row) + "\n" for row in np.tile(frames, (2, 1, 1)).reshape(-1, 4))
+    assert np.array_equal(
+        read_alike(put("whole.csv", lines), (8, 4)).readings[:200], frames.reshape(200, 32)
+    )
+    with pytest.warns(AnisomapWarning, match="seem to begin with row 5"):
+        io.read(
+            put("cut.csv", "\n".join(lines.split("\n")[3:-6]) + "\n"),
+            options=io.ReadOptions(grid=(8, 4)),
+        )
 
 
 @pytest.mark.parametrize("name", ["ms", "millis", "micros"])

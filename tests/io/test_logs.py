@@ -68,6 +68,35 @@ READ = {
     ),
     "a second header": joined(["S"] * N) + "\n" + table(PRESSED, names=range(N)),
     "a list with its length": lines(lambda t, row: f"taxels,{N},{N},0,{joined(row)}"),
+    "checksums of NMEA": lines(lambda t, row: f"{joined(row)}*{t % 256:02X}"),
+    "checksums in hexadecimal": lines(
+        lambda t, row: f"{joined(row)},{(sum(row) * 40503 + t) % 65536:04X}"
+    ),
+    "a clock of Zephyr": lines(
+        lambda t, row: f"[00:00:{t // 50:02}.{t % 50 * 20:03},000] <inf> skin: {joined(row, ' ')}"
+    ),
+    "frames between words": lines(
+        lambda t, row: f"SCAN {t}\n" + table(np.reshape(row, (3, 4)), names=None) + "END"
+    ),
+    "cells between bars": lines(
+        lambda t, row: f"| {joined(row[:6], ' | ')} |\n| {joined(row[6:], ' | ')} |\n"
+    ),
+    "places of sensors": table([np.arange(N) % 4 * 5, np.arange(N) // 4 * 5, *PRESSED]),
+    "gains of sensors": table([np.arange(N) / 100 + 1, *PRESSED]),
+    "numbers of sensors": table([range(1, N + 1), *PRESSED]),
+    "units below Vicon's names": "Devices\n50\n"
+    + table([["V"] * 12, *PRESSED], names=["Frame,Sub Frame", *NAMES]).replace("\nV", "\n,,V"),
+    "a temperature": lines(lambda t, row: f"{joined(row)},{24 + t / 128:.2f}"),
+    "c0 and units": lines(lambda t, row: " ".join(f"c{i}={v}mV" for i, v in enumerate(row))),
+    "stamps of JSON, with objects": lines(
+        lambda t, row: json.dumps(
+            {"t": t / 50, "d": [{"id": i, "v": v} for i, v in enumerate(row)], "fw": 3}
+        )
+    ),
+    "stamps of each channel": table(
+        [[x for v in row for x in (t / 50, v)] for t, row in FRAMES],
+        names=[x for name in NAMES for x in ("X[s]", name)],
+    ),
     "a counter of 4 bits": table([[t % 16, *row] for t, row in FRAMES], names=None),
     "labels and limits": lines(
         lambda t, row: "Min:0,Max:4095," + ",".join(f"c{i}:{v}" for i, v in enumerate(row))
@@ -120,6 +149,22 @@ REFUSED = {
     "hexadecimal": (
         lines(lambda t, row: " ".join(f"0x{v:04X}" for v in row)),
         "'0x0000' is not a number; write decimal numbers",
+    ),
+    "hexadecimal bytes": (
+        lines(lambda t, row: f"{t:08x}: " + " ".join(f"{v:04x}" for v in row)),
+        "holds hexadecimal numbers, as in '00000000: ",
+    ),
+    "MATLAB's display": (
+        "A =\n\n  Columns 1 through 6\n\n" + table(PRESSED[:, :6], " ", None),
+        "as MATLAB prints it, as in 'Columns 1 through 6': use writematrix",
+    ),
+    "no blanks": (
+        lines(lambda t, row: "".join(f"{v + 1000:4}" for v in row)),
+        "has no separators between numbers",
+    ),
+    "exponents of Fortran": (
+        lines(lambda t, row: " ".join(f"{v:.3E}".replace("E", "D") for v in row)),
+        "write exponents with E",
     ),
     "thousands": (
         table([[f"{v:,}".replace(",", "'") for v in row] for row in PRESSED], ";"),

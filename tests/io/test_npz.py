@@ -78,7 +78,7 @@ def test_all_optional_arrays(saved) -> None:
 
 
 WRONG_RECORDINGS = [
-    ({"data": READINGS, "labels": [1]}, "'readings' is missing (arrays: data, labels)"),
+    ({"data": READINGS, "labels": [1]}, "no array readings; in Python it is numpy.savez("),
     ({"readings": np.zeros((2, 4, 3))}, "time, its longest axis, first or last"),
     ({"readings": READINGS.astype(object)}, "readings must hold numbers, got dtype object"),
     ({"readings": READINGS, "names": ["a", "b"]}, "sensors: 3, names: 2"),

@@ -152,3 +152,15 @@ def test_missing_readings_are_recorded_and_told(recorder, tmp_path):
     np.testing.assert_array_equal(anisomap.read(tmp_path / "r.csv").readings, [[1, np.nan], [2, 3]])
     assert recorder.made.has_gaps
     assert any("s1 sent no number" in text for text in recorder.told)
+
+
+def test_other_names_begin_a_new_recording(tmp_path):
+    said = []
+    recorder = Recorder(tmp_path / "r.csv", "", said.append, lambda _: None)
+    for names in ("ab", "ab", "cd"):
+        recorder.rename(tuple(names))
+        recorder.put(Batch(np.ones((3, 2))))
+    recorder.close()
+    assert [segment.names for segment in recorder.segments] == [("a", "b"), ("c", "d")]
+    assert [anisomap.read(segment.path).n_frames for segment in recorder.segments] == [6, 3]
+    assert said == ["the sensors have other names: a new recording begins"]

@@ -134,7 +134,7 @@ def is_alive(pid):
 def test_a_flood_loses_nothing(session, tmp_path):
     n_frames, skin = 8_000, [line.partition(",")[2] for line in LINES]
     flood = tmp_path / "flood.txt"
-    flood.write_bytes(text([f"{500 * i % 977},{skin[i % 600]}" for i in range(n_frames)]))
+    flood.write_bytes(text([f"{500 * i % 977}.0,{skin[i % 600]}" for i in range(n_frames)]))
     with flood.open("rb") as lines:
         live = session("-", *FILE, stdin=lines)
         code, said = live.join()

@@ -110,3 +110,26 @@ def test_a_line_without_end_takes_no_memory():
     items = [*parser.feed(b"1,2\n3,4\n"), *parser.end()]
     assert readings(items) == [[3, 4]]
     assert sum(isinstance(item, Notice) for item in items) == 1
+
+
+def test_a_board_that_starts_again_with_other_names_is_read_anew():
+    rows = [f"{i},{i * i % 7},{i % 5},{i * 3 % 11}\n" for i in range(60)]
+    for head, names in (("a,b,c,d\n", "wxyz"), ("", "abcd")):
+        first = [head or "a,b,c,d\n", *rows]
+        again = ["w,x,y,z\n", *rows] if head else [f"a=1,b=2,c=3,d={i}\n" for i in range(60)]
+        items = parsed("".join([*first, *again]).encode())
+        found = [item.names for item in items if isinstance(item, Names)]
+        assert found[-1] == tuple(names)
+        assert len(readings(items)) == 120
+        said = [item.text for item in items if isinstance(item, Notice)]
+        assert any(text.startswith("lines of another kind begin") for text in said)
+
+
+def test_rows_of_a_matrix_that_rests_at_first_are_noticed():
+    walk = np.random.default_rng(2).normal(size=(400, 12)).cumsum(axis=0).round(2)
+    rows = np.concatenate([np.zeros((40, 12)), walk]).reshape(-1, 4).tolist()
+    lines = "".join(",".join(map(str, row)) + "\n" for row in rows)
+    items = parsed(*(lines[i : i + 999].encode() for i in range(0, len(lines), 999)))
+    said = [item.text for item in items if isinstance(item, Notice)]
+    assert any(text.endswith("give --grid 3x4") for text in said)
+    assert readings(items) == rows

@@ -36,6 +36,7 @@ NAMING_TIME = _TIME_WORDS - {"t", "ts", "date"}
 _TIME_UNITS = set(_PER_SECOND) - {"s", "us", "ns", "min", "h"}
 # Seconds since 1970 stay below 1e11 until the year 5138; in ms, us and ns they are larger.
 _EPOCHS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
+_UNITS = [[word] for word in _PER_SECOND]
 _SYMBOLS = {1.0: "s", 1e3: "ms", 1e6: "us", 1e9: "ns"}
 SINCE_1970_S = 1e9
 """Seconds since 1970, in 2001: larger numbers of seconds are dates."""
@@ -48,7 +49,7 @@ _COUNTERS += [(2.0**bits, -(2.0 ** (bits - 1))) for bits in (16, 32)]
 _NEAR, _MOST_FALLS = 10, 0.05  # usual steps to the ends of a range; share of the frames
 _DAY_ZERO = date(1970, 1, 1).toordinal()
 
-_OF_DAY = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}))?)?\s?([AaPp][Mm])?"
+_OF_DAY = r"(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d{1,9}(?:,\d{3})?))?)?\s?([AaPp][Mm])?"
 _OF_YEAR = r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([-/.])(\d{1,2})[-/.](\d{4})"
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _IN_WORDS = rf"(\d{{1,2}})[- ]({'|'.join(_MONTHS)})[a-z]*[- ](\d{{4}})"
@@ -76,6 +77,12 @@ def is_time(name: str, column: int = 0) -> bool:
         return words == ["t"] and name.strip().lower() == "t" and column < 2
     known = all(word in _TIME_WORDS or word in _PER_SECOND for word in words)
     return known and (words[0] in _TIME_WORDS or words[0] in _TIME_UNITS)
+
+
+def names_time(name: str) -> bool:
+    """Return whether a name has a word for a time, or ends with a unit of time in brackets."""
+    words = words_of(name)
+    return bool(NAMING_TIME & {*words}) or (name[-1:] in ("]", ")") and words[-1:] in _UNITS)
 
 
 def parse_clock(text: str) -> float | None:
@@ -107,7 +114,7 @@ def parse_clock(text: str) -> float | None:
     of_day = 3600.0 * hours + 60.0 * int(minute) + int(seconds or 0)
     if zone[0]:
         of_day -= float(f"{zone[0]}1") * (3600 * int(zone[1]) + 60 * int(zone[2]))
-    return days * _DAY_S + of_day + (float(f".{fraction}") if fraction else 0.0)
+    return days * _DAY_S + of_day + (float(f".{fraction}".replace(",", "")) if fraction else 0.0)
 
 
 def is_date(seconds: float) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import words_of
+from anisomap.base.wording import join_items, printable
 
 XYZ = "xyz"
 MIN_TAXELS = 4
@@ -116,6 +117,31 @@ class Taxels:
         return [*of_axis, *rest], (*self.columns, *(names[i] for i in rest))
 
 
+def examine(
+    names: Sequence[str], table: NDArray[np.floating] | None, axis: str = "z"
+) -> tuple[tuple[str, ...], dict[int, str], Taxels | None, dict[str, str]]:
+    """Decide which columns are sensors.
+
+    table (t, n_columns): First rows; None if all are sensors, or axes of them.
+    Returns names without units, the columns that are no sensors with what they are, taxels with
+    three axes, and what to say, by the option of the command line that changes it.
+    """
+    others = {} if table is None else find_others(names, table)
+    names, said = without_units(names), dict[str, str]()
+    taxels = None if axis == "all" else find_taxels(names, others)
+    kinds = dict[str, list[str]]()
+    for i, what in (others := others | (taxels.others if taxels else {})).items():
+        kinds.setdefault(what, []).append(printable(names[i]) if names else f"column {i + 1}")
+    if kinds:
+        listed = "; ".join(f"{join_items(held, _FEW)}: {what}" for what, held in kinds.items())
+        said["--keep"] = f"columns that are not sensors are left out ({listed})"
+    if taxels:
+        read = "the length from rest" if axis == "norm" else axis
+        said["--axis"] = f"{len(taxels.columns)} taxels with three axes: {read} is read"
+    return names, others, taxels, said
+
+
+_FEW = 3
 _Key: TypeAlias = tuple[str, str, str]
 """Stem of the name of a taxel, separator, and letter of a quantity."""
 
@@ -240,6 +266,7 @@ _PHRASES = {
 }
 _MAX_SHARE, _MIN_SENSORS, _MAX_HEAD = 0.5, 3, 6
 _MIN_ROWS, _MAX_LEVELS, _MAX_SWITCHES = 20, 10, 0.1
+_MIN_FULL, _JUMPS = 0.9, (0.25, 0.42)  # of the range of a checksum
 _MIN_LABELS = 500  # rows: in fewer, a sensor may not have been touched
 
 
@@ -261,6 +288,7 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
     found |= {i: f"a quantity in {names[i]}" for i in units}
     if len(table) >= _MIN_ROWS:
         found |= {i: "empty" for i in odd if np.isnan(table[:, i]).all()}
+        found |= {i: "constant" for i in odd if i not in found and np.ptp(table[:, i]) == 0}
         found |= _by_values(names, table, found, odd)
     n_sensors = table.shape[1] - len(found)
     return found if n_sensors >= _MIN_SENSORS else {}
@@ -294,8 +322,10 @@ def _by_values(
         for what, fits in (("sum", sums), ("mean", means)):
             for k in np.flatnonzero(fits.all(axis=0) & varying).tolist():
                 found[rest[k]] = f"the {what} of all others"
-        if whole and not found and values.max() < 256 and values.min() >= 0:
-            modulo = ((total - 2 * values) % 256 == 0).all(axis=0) & varying
+        if whole and not found and values.min() >= 0:
+            size = np.where(values.max(axis=0) < 256, 256, 1 << 16)
+            modulo = ((total - 2 * values) % size == 0).all(axis=0) & varying
+            modulo[-1] |= (not names or rest[-1] in odd) and _is_random(values, size[-1])
             found |= {rest[k]: "a checksum of all others" for k in np.flatnonzero(modulo).tolist()}
     n_sizes = 0 if names else _count_sizes(values)
     found |= dict.fromkeys(rest[:n_sizes], "a number of values")
@@ -307,6 +337,17 @@ def _by_values(
         if i not in found and i in odd and (what := _kind(values[:, k])):
             found[i] = what
     return found if len(found) <= _MAX_SHARE * len(rest) else {}
+
+
+def _is_random(values: NDArray[np.float64], size: float) -> bool:
+    """Return whether the last column jumps over its whole range as often as others change."""
+    moved = np.diff(values[:, :-1], axis=0).any(axis=1)
+    if np.count_nonzero(moved) < _MIN_ROWS or values[:, -1].max() < _MIN_FULL * size:
+        return False
+    steps = np.abs(np.diff(values, axis=0))[moved].mean(axis=0)
+    usual = float(np.median(steps[:-1] / np.maximum(np.ptp(values[:, :-1], axis=0), 1)))
+    jump = float(steps[-1]) / size  # 1/3 of independent uniform numbers
+    return _JUMPS[0] < jump < _JUMPS[1] and usual < jump / 2
 
 
 def _count_sizes(values: NDArray[np.float64]) -> int:

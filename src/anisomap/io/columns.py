@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.columns import Taxels, find_others, find_taxels, without_units
-from anisomap.base.wording import join_items
+from anisomap.base.columns import Taxels, examine, without_units
 from anisomap.errors import FileError
-from anisomap.io.parsing.source import quote_if_needed, warn
+from anisomap.io.parsing.source import warn
 from anisomap.io.stream import Block, ReadOptions, Stream
 from anisomap.names import default_names, find_sensors
 
 _ROWS, _LEAST_ROWS, _CELLS = 1000, 20, 1 << 17  # that tell what columns are
-_FEW = 3
+_REMEDIES = {
+    "--keep": "give --keep to choose others",
+    "--axis": "choose with --axis z, norm, x, y, or all for each by itself",
+}
 
 
 def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
@@ -28,7 +29,7 @@ def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
     """
     if not (stream.raw_columns or options.keep):
         return stream
-    others, taxels = dict[int, str](), None
+    first = None
     if options.keep:
         stream = replace(stream, names=without_units(stream.names))
         own = stream.names or default_names(stream.n_sensors)
@@ -37,13 +38,11 @@ def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
         return replace(stream, names=without_units(stream.names))
     else:
         first, stream = _peeked(stream)
-        others = find_others(stream.names, first)
-        stream = replace(stream, names=without_units(stream.names))
-    if options.axis != "all" and (taxels := find_taxels(stream.names, others)):
-        others |= taxels.others
-    if others:
-        _say_others(stream.path, stream.names, others)
-    if others and stream.names:
+    names, others, taxels, said = examine(stream.names, first, options.axis)
+    for option, text in said.items():
+        warn(stream.path, f"{text}; {_REMEDIES[option]}")
+    stream = replace(stream, names=names)
+    if others and names:
         named = ", ".join(f"({stream.names[i]})" for i in sorted(others))
         stream = replace(stream, metadata={**stream.metadata, "other_columns": named})
     if taxels:
@@ -72,15 +71,6 @@ def _peeked(stream: Stream) -> tuple[NDArray[Any], Stream]:
     return found, replace(stream, blocks=blocks())
 
 
-def _say_others(path: Path, names: tuple[str, ...], others: dict[int, str]) -> None:
-    kinds: dict[str, list[str]] = {}
-    for i, what in others.items():
-        label = quote_if_needed(names[i]) if names else f"column {i + 1}"
-        kinds.setdefault(what, []).append(label)
-    said = "; ".join(f"{join_items(labels, _FEW)}: {what}" for what, labels in kinds.items())
-    warn(path, f"columns that are not sensors are left out ({said}); give --keep to choose others")
-
-
 def _selected(stream: Stream, kept: NDArray[np.intp]) -> Stream:
     """Keep some columns."""
     if np.array_equal(kept, np.arange(stream.n_sensors)):
@@ -92,9 +82,6 @@ def _selected(stream: Stream, kept: NDArray[np.intp]) -> Stream:
 def _one_axis(stream: Stream, axis: str, taxels: Taxels, left_out: Collection[int]) -> Stream:
     """Take an axis, or the length, of taxels with three; columns that are none of them stay."""
     places = np.array([*taxels.columns.values()])
-    what = "the length from rest" if axis == "norm" else axis
-    problem = f"{len(places)} taxels with three axes: {what} is read"
-    warn(stream.path, f"{problem}; choose with --axis z, norm, x, y, or all for each by itself")
     kept, names = taxels.kept(stream.names, left_out, "z" if axis == "norm" else axis)
     if len(set(names)) < len(names):
         raise FileError(

@@ -92,6 +92,12 @@ def _array(
     return values
 
 
+def _shape(archive: zipfile.ZipFile, name: str) -> tuple[int, ...]:
+    with suppress(InputError), archive.open(name + _SUFFIX) as member:
+        return _header(member, name)[0]
+    return ()
+
+
 def _missing(archive: zipfile.ZipFile, name: str, what: str) -> InputError:
     found = f"arrays: {join_items(names)}" if (names := _names(archive)) else "it has no array"
     return InputError(f"it holds no {what}: array {name!r} is missing ({found})")
@@ -159,9 +165,13 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     """Open a recording in an NPZ archive."""
     with _opened(path) as archive:
         names = _names(archive)
-        if "readings" not in names and _MOMENTS.intersection(names):
-            raise FileError(f"{path} holds events", FROM_EVENTS)
         if "readings" not in names:
+            tables = [name for name in names if len(_shape(archive, name)) > 1]
+            if tables:
+                saved = f"numpy.savez('new.npz', readings=numpy.load(path)[{tables[0]!r}])"
+                raise FileError(f"{path} names no array readings", f"in Python it is {saved}")
+            if _MOMENTS.intersection(names):
+                raise FileError(f"{path} holds events", FROM_EVENTS)
             raise _missing(archive, "readings", "recording")
         times, info = _array(archive, "times"), archive.getinfo(f"readings{_SUFFIX}")
         with archive.open(info) as member:

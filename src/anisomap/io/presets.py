@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -72,6 +73,7 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
 
     def blocks() -> Iterator[Block]:
         held: Block | None = None
+        seen, n_seen = list[NDArray[np.floating]](), 0
         for block in stream.blocks:
             whole = join_blocks([held, block]) if held else block
             n_frames = len(whole.readings) // rows
@@ -79,6 +81,9 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
             whole = whole.part(0, n_frames * rows)
             arrays = {name: each[::rows] for name, each in whole.arrays.items()}
             arrays["readings"] = whole.readings.reshape(n_frames, rows * columns)
+            if n_seen < _MIN_SEEN <= (n_seen := n_seen + n_frames):
+                _warn_of_shift(stream.path, np.concatenate([*seen, arrays["readings"]]), rows)
+            seen = [*seen, arrays["readings"]] if n_seen < _MIN_SEEN else []
             yield replace(whole, **arrays)
         if held and len(held.readings):
             raise FileError(
@@ -99,6 +104,18 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
     )
 
 
+def _warn_of_shift(path: Path, frames: NDArray[np.floating], rows: int) -> None:
+    """Warn if the first and the last row of frames, (t, N), are alike, and two others are not."""
+    cells = np.nan_to_num(frames).reshape(len(frames), rows, -1)
+    cells = np.abs(cells - np.median(cells, axis=0))
+    following = np.roll(cells, -1, axis=1)
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(cells - following).sum(axis=(0, 2)) / (cells + following).sum(axis=(0, 2))
+    seam = int(np.nanargmax([*apart[:-1], -1.0]))
+    if apart[seam] > apart[-1] + _SHIFTED:
+        warn(path, f"frames seem to begin with row {seam + 1}: the first line may be within one")
+
+
 def _without_empty_cells(recording: Recording) -> Recording:
     empty = ~np.isfinite(recording.readings).any(axis=0)
     if not empty.any() or empty.all():
@@ -107,6 +124,8 @@ def _without_empty_cells(recording: Recording) -> Recording:
     warn(recording.source, f"{cells} have no reading; they are taken as silent")
     return replace(recording, readings=np.where(empty, 0, recording.readings))
 
+
+_MIN_SEEN, _SHIFTED = 300, 0.2  # frames; by how much rows are more unlike than others
 
 Numbering: TypeAlias = Callable[[Recording], dict[int, str]]
 """Function from a recording to the index and name of each value that is a sensor."""

@@ -285,10 +285,8 @@ def assemble(
         progress(1.0)
     if not sample.n_frames:
         raise FileError(f"{stream.path} holds no frame")
-    named_by_us = stream.raw_columns and not stream.names
-    if _MIN_TURNED <= sample.n_frames < stream.n_sensors / 4 and named_by_us:
-        size = f"{sample.n_frames} frames of {stream.n_sensors} sensors without names"
-        warn(stream.path, f"{size}: if rows are sensors, transpose the table")
+    if doubt := doubt_of_rows(stream, sample.n_frames):
+        warn(stream.path, doubt)
     every = sample.every
     return Recording(
         sample.take(),
@@ -302,6 +300,14 @@ def assemble(
         source=stream.source,
         metadata=_sampled(stream.metadata, every),
     )
+
+
+def doubt_of_rows(stream: Stream, n_frames: int) -> str:
+    """Return what to say if the rows of a table without names may be sensors; empty if not."""
+    if not (stream.raw_columns and _MIN_TURNED <= n_frames < stream.n_sensors / 4) or stream.names:
+        return ""
+    size = f"{n_frames} frames of {stream.n_sensors} sensors without names"
+    return f"{size}: if rows are sensors, transpose the table"
 
 
 def thin(recording: Recording, step: int) -> Recording:

@@ -184,6 +184,13 @@ class Recorder:
             else:
                 self._notify(f"ignored a frame of {width} readings instead of {self.width}")
 
+    def rename(self, names: tuple[str, ...]) -> None:
+        """Name the sensors; if others are recorded, a new recording begins."""
+        if self.width and names != self.names:
+            self.close()
+            self._notify("the sensors have other names: a new recording begins")
+        self.names = names
+
     def flush(self) -> int:
         """Hand what was recorded to the operating system; return the frames that a reader finds."""
         with self._lock:

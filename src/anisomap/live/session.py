@@ -544,7 +544,7 @@ class LiveSession:
                 if isinstance(item, Notice):
                     self.notify(item.text)
                 elif isinstance(item, Names):
-                    self.recorder.names = item.names
+                    self.recorder.rename(item.names)
                 elif not self.paused:
                     self.recorder.put(item)
                     self.first_frame_at = min(self.first_frame_at, time.monotonic())

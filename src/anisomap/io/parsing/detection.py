@@ -23,10 +23,12 @@ from anisomap.io.parsing.source import RefusedError, quote
 from anisomap.io.parsing.tables import (
     DELIMITERS,
     SAMPLE_RECORDS,
+    SUM,
     Numbered,
     Table,
     all_records,
     depth_of,
+    divides,
     empty_columns,
     find_delimiter,
     is_apart,
@@ -42,7 +44,7 @@ from anisomap.io.parsing.tables import (
 _MIN_COUNTED = 4
 _MAX_PREAMBLE, _MIN_UNIFORM_ROWS = 100, 5
 _MIN_TEXT_CELLS = 2
-_MIN_BLOCKS, _MIN_NESTED = 3, 2
+_MIN_BLOCKS, _MIN_NESTED, _TALL = 3, 2, 128
 # A cell of two numbers with a comma may be one number with a decimal comma.
 _MIN_LISTED = 3
 _MAX_UNIT = 12  # characters
@@ -52,6 +54,7 @@ _CONTINUOUS = 0.4
 _DIGITS = re.compile(r"\d+")
 _RULE = re.compile(r"[+|\s]*(?:=[=+|\s]+|-{2}[-+|\s]+)")
 _MAX_REMARK = 8  # words
+_MAX_APART, _MIN_COMPARED, _MIN_PLACES = 3, 20, 9
 _COMMENT, _MARKED = re.compile(r"\s*(?:#|%|//)+\s*"), re.compile(r"\s*(?:%|//)")
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 
@@ -74,7 +77,10 @@ def count_preamble(sample: Sequence[str], *, padded: bool = False) -> int:
         rows = range(start, min(start + _MIN_UNIFORM_ROWS, len(top)))
         alike = all(widths[i] == widths[start] and _is_numeric(top[i], delimiter) for i in rows)
         if alike and len(rows) == _MIN_UNIFORM_ROWS:
-            named = abs(widths[start - 1] - widths[start]) <= 1
+            named = int(abs(widths[start - 1] - widths[start]) <= 1)
+            cells = [_split(line, delimiter) for line in top[max(start - 2, 0) : start + 1]]
+            if named and len(cells) == 3 and widths[start - 2] == widths[start]:
+                named += _are_units(cells[1], cells[2], delimiter)
             if named or not padded:
                 return start - named
     return 0
@@ -165,6 +171,9 @@ def _find_columns(
             f"{name}.{number}" if name else "" for name, number in zip(header, body[0], strict=True)
         ]
     body = body[n_units + n_headers :]
+    n_apart = _count_apart(body) if has_header and not own_delimiter else 0
+    shown, body = join_items(body[0] if body else [], 4), body[n_apart:]
+    units = "a row of units" if n_units else ""
     width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
     if header:
         named = header[: len(header) - empty_columns([header])]
@@ -174,7 +183,7 @@ def _find_columns(
         header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
         n_columns = len(header) if body else 0
         because = f"the header names {n_columns}"
-        first_line = found[1 + n_units + n_headers][0] if body else len(sample) + 1
+        first_line = found[1 + n_units + n_headers + n_apart][0] if body else len(sample) + 1
     else:
         n_columns, trailing, first_line = width - empty, empty, 1
         because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
@@ -189,7 +198,7 @@ def _find_columns(
         functools.partial(_clean, delimiter, trailing, framed=framed) if changed else None,
         text,
         clocks,
-        skipped="a row of units" if n_units else "",
+        skipped=f"rows unlike the others: {n_apart}, from {shown} on" if n_apart else units,
     )
 
 
@@ -233,7 +242,9 @@ def _text_columns(
     found = _columns_of(
         rows, every, lambda c: not is_number(c, delimiter) and (is_label(c) or is_list(c))
     )
-    found = tuple(i for i in found if i not in clocks)
+    sums = _columns_of(rows, every, lambda c: bool(SUM.fullmatch(c.strip())))
+    found += tuple(i for i in sums if any(not is_number(row[i], delimiter) for row in rows[1:]))
+    found = tuple(i for i in sorted({*found}) if i not in clocks)
     # A file without a column of numbers gives an error about its first cell instead.
     return found if rows and len(found) + len(clocks) < len(rows[0]) else ()
 
@@ -357,6 +368,29 @@ def _are_units(row: Sequence[str], following: Sequence[str], delimiter: str | No
     return bool(cells) and len(text) == len(cells) and len(row) == len(following) and bool(below)
 
 
+def _count_apart(body: Sequence[Sequence[str]]) -> int:
+    """Count rows below a header that are no readings: numbers, places or gains of the sensors.
+
+    They count, are two rows of a lattice, or have decimals where all others have none, or the other
+    way round.
+    """
+    if len(body) < _MIN_COMPARED or len(body[0]) < _MIN_PLACES:
+        return 0
+    if _counts(body[0]):
+        return 1
+    places = [[parse_number(c) if is_number(c) else np.nan for c in row] for row in body[:2]]
+    steps = [{*np.diff(sorted({*row})).round(6).tolist()} for row in places]
+    cells = {*zip(*places, strict=False)}
+    if [len(each) for each in steps] == [1, 1] and len(cells) == len(body[0]):
+        return 2
+    marked = [sum("." in cell or "," in cell for cell in row) for row in body]
+    for n in range(1, _MAX_APART + 1):
+        top, rest, width = marked[:n], marked[n:], len(body[0])
+        if (2 * min(top) >= width and not any(rest)) or (not any(top) and min(rest) == width):
+            return n
+    return 0
+
+
 def _are_numbers_of(header: Sequence[str], row: Sequence[str]) -> bool:
     """Return whether a row numbers columns of the same name, as a second header of pandas does."""
     counts = Counter(name for name in header if name.strip())
@@ -408,21 +442,26 @@ def _inner_rows(frame: str) -> int:
 
 
 def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
-    """Find frames of several lines, between empty lines or comments, perhaps below a title each."""
-    groups = [[*lines] for apart, lines in itertools.groupby(sample, is_apart) if not apart]
+    """Find frames of several lines, between empty lines, comments or words, or below a title."""
+    parts = [(apart, [*lines]) for apart, lines in itertools.groupby(sample, divides)]
+    groups = [lines for apart, lines in parts if not apart]
+    between = [lines for apart, lines in parts[1:-1] if apart]
+    # Neither words nor empty lines are evidence alone: a board may say something now and then.
+    marked = all(len({*map(is_apart, lines)}) > 1 for lines in between)
     whole = groups[:-1] if len(groups) > _MIN_BLOCKS else groups  # the last one may be cut short
     heights = set(map(len, whole))
-    if len(whole) < _MIN_BLOCKS or len(heights) != 1 or (height := heights.pop()) < 2:
+    if len(whole) < _MIN_BLOCKS or len(heights) != 1 or not 1 < (height := heights.pop()) <= _TALL:
         return None
     for delimiter in DELIMITERS:
         for n_titles in (0, 1):
-            rows = [_split(line, delimiter) for group in whole for line in group[n_titles:]]
+            lines = (line for group in whole for line in group[n_titles:])
+            rows = [_split(_unframed(s) if delimiter == "|" else s, delimiter) for s in lines]
             widths = set(map(len, rows))
             empty = empty_columns(rows) if rows else 0
             numeric = all(is_number(cell, delimiter) for row in rows for cell in row)
             n_rows, n_columns = height - n_titles, min(widths, default=0) - empty
             if len(widths) == 1 and numeric and n_columns > 1 and n_rows > 1:
-                first = next(i for i, line in enumerate(sample) if not is_apart(line))
+                first = next(i for i, line in enumerate(sample) if not divides(line))
                 cells = [[parse_number(c, delimiter) for c in row[:n_columns]] for row in rows]
                 blocks = np.array(cells).reshape(len(whole), n_rows, n_columns)
                 return Table(
@@ -434,7 +473,7 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
                     clean=functools.partial(_clean, delimiter, 0) if delimiter != "," else None,
                     block=(n_rows, n_columns),
                     n_titles=n_titles,
-                    doubt="" if n_titles else _doubt_of(blocks),
+                    doubt="" if n_titles or marked else _doubt_of(blocks),
                 )
     return None
 
@@ -446,9 +485,9 @@ def _doubt_of(blocks: NDArray[np.float64]) -> str:
         return ""
     size = "{}x{}".format(*blocks.shape[1:])
     return (
-        f"empty lines divide blocks of {size} numbers, which change less within blocks than from "
-        f"one to the next: give --grid {size} if each block is a frame, or remove the empty lines "
-        "if each line is a frame"
+        f"empty lines or words divide blocks of {size} numbers, which change less within blocks "
+        f"than from one to the next: give --grid {size} if each block is a frame, or remove these "
+        "lines if each line is a frame"
     )
 
 

@@ -21,7 +21,7 @@ from anisomap.errors import InputError
 from anisomap.io.parsing.source import quote
 
 _TIME = (
-    r"(?:\d{1,6} days )?\d{1,2}:\d{2}:\d{2}(?:[.:]\d{1,9}|,\d{3}(?=\s))?"
+    r"(?:\d{1,6} days )?\d{1,2}:\d{2}:\d{2}(?:[.:]\d{1,9}(?:,\d{3}(?=\]))?|,\d{3}(?=\s))?"
     r"(?:\s?[AaPp][Mm]\b)?(?:Z|[-+]\d{2}:?\d{2})?"
 )
 _DATE = r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{4})"
@@ -47,6 +47,8 @@ _APART = re.compile(r"[\s,;|:=>\[\](){}\"']")
 _ENDS_LABEL = re.compile(r"[\])}\"']*\s*(?::|=|->|=>|>)")
 _BRACKETS = re.compile(r"[\[\](){}]")
 _NAME_ENDS, _NAME_STARTS = " \t\r\n\"'([{", " \t\r\n\"')]}{"
+_UNIT = re.compile(r"\A[^\W\d_]+(?=[\s,;])")  # behind a value
+_ID = re.compile(r".*\.\d+\.(?:id|idx|index|taxel|sensor|channel)")  # of objects in a list
 _LISTED = re.compile(r"[\s,;]+")
 _COMMA, _NUMBER = re.compile(r"\d,\d"), re.compile(r"(?<!\w)\d")
 _LOOKED_AT = 400  # lines
@@ -54,7 +56,6 @@ _MIN_VALUES, _MIN_SHARE = 2, 0.5  # of the lines looked at, that fit
 PREFIX = "prefix"
 """Name of a number without a name before the values, such as ``17: 0, 12``."""
 _SEPARATORS, _MARKS = re.compile(r"[,;|\t]"), re.compile(r"[:=>]")
-_CHECKSUM = re.compile(r"\*[0-9A-Fa-f]{2}$")  # NMEA 0183
 
 
 class MisfitError(ValueError):
@@ -122,7 +123,7 @@ def _split(line: str, decimal: str) -> tuple[tuple[str, ...], list[str]]:
 
 def _raw_split(line: str, decimal: str) -> tuple[list[str], list[str]]:
     texts, tokens, end = list[str](), list[str](), 0
-    for match in _TOKENS[decimal].finditer(line := _CHECKSUM.sub("", line.strip())):
+    for match in _TOKENS[decimal].finditer(line := line.strip()):
         texts.append(line[end : match.start()])
         tokens.append(match[0])
         end = match.end()
@@ -210,7 +211,7 @@ def _names(
         if i in fixed:
             text += fixed[i]
             continue
-        parts = _MARKS.split(_SEPARATORS.split(text)[-1])
+        parts = _MARKS.split(_SEPARATORS.split(_UNIT.sub("", text) if names else text)[-1])
         words = [part.lstrip(_NAME_STARTS).rstrip(_NAME_ENDS) for part in parts]
         words = [word for word in words if any(map(str.isalnum, word))]
         names.append("" if i in clocks or not words else words[-1])
@@ -237,11 +238,12 @@ def as_objects(lines: Sequence[str]) -> tuple[tuple[str, ...], Callable[[str], s
     first = _flat(lines[0]) if lines else None
     if not first or any(_flat(line) is None for line in lines[1:2]):
         return None
-    names = tuple(first)
+    ids = {name: value for name, value in first.items() if _ID.fullmatch(name)}
+    names = tuple(name for name in first if name not in ids)
 
     def convert(line: str) -> str:
         found = _flat(line)
-        if found is None or {*found} != {*names}:
+        if found is None or {*found} != {*first} or not ids.items() <= found.items():
             what = "is no JSON object" if found is None else "has other keys than the lines before"
             raise MisfitError(f"{quote(line.strip())} {what}")
         return ",".join(found[name] for name in names)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.clocks import NAMING_TIME, SINCE_1970_S, Clock, clock_of, is_time, words_of
+from anisomap.base.clocks import SINCE_1970_S, Clock, clock_of, is_time, names_time, words_of
 from anisomap.base.columns import odd_names
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
@@ -145,7 +145,7 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     guessed = []
     if len(table) >= _MIN_FRAMES:
         known = set(times)
-        worded = (i for i, name in enumerate(header) if NAMING_TIME & {*words_of(name)})
+        worded = (i for i, name in enumerate(header) if names_time(name))
         guessed = [i for i in worded if i not in known and _rises(table[:, i])]
         times += guessed
         known = {*times, *counters}

@@ -77,11 +77,42 @@ _DOTS = r"(?:\.{3}|\u2026)"
 _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
 _ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
 _MIN_SHARE = 0.3  # of lines without their middle
-_CAN = re.compile(
-    r"(?i)\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)"
-    r"|\sd\s+\d(?:\s+[0-9A-F]{2})+\b"
-)
 _DOCUMENT = re.compile(r"\s*+\[\s*+\[")
+_BYTES = r"(?<![\w.])(?:(?:[0-9A-F]{2}){1,2}h?[\s,]+)"
+# Patterns of lines, the least share of the lines that match, and what to say.
+_KINDS = (
+    (
+        r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)"
+        r"|\s[dsx]\s+\d(?:\s+[0-9A-F]{2})+\b|^T[0-9A-F]{4}(?:[0-9A-F]{2}){1,8}$",
+        0.5,
+        "holds frames of a CAN bus in hexadecimal, as in {}: decode them to one line of numbers "
+        "per frame first",
+    ),
+    (
+        rf"{_BYTES}{{3,}}(?=\w{{1,3}}[A-F])[0-9A-F]{{2,4}}h?(?![\w.])|^[0-9A-F]{{7,8}}:? .*\|$",
+        _MIN_SHARE,
+        "holds hexadecimal numbers, as in {}: write decimal numbers",
+    ),
+    (r"^(?:[01]{4,16}[\s,;]*){3,}$", 0.9, "holds binary digits, as in {}: write decimal numbers"),
+    (
+        r"(?<![\w.])(?:\d{21,}|(?:\d+\.){4,}\d)",
+        0.5,
+        "has no separators between numbers, as in {}: write commas",
+    ),
+    (
+        r"^\s*Columns? \d+ (?:through|and|to) \d+:?$|^\s*[\d.]+e[-+]\d+ \*$"
+        r"|^\[[^\[\]]*;[^\[\]]*\]$",
+        0.0,
+        "holds an array as MATLAB prints it, as in {}: use writematrix(array, 'run.csv')",
+    ),
+    (
+        r"^#(?:group|datatype),",
+        0.0,
+        "is an annotated table of InfluxDB, with {}; in Python it is anisomap.Recording(pandas."
+        "read_csv(path, comment='#').pivot(index='_time', columns='_field', values='_value'))",
+    ),
+    (r"^\s*\{$", 0.0, "has objects of JSON on several lines, as in {}: write each on one line"),
+)
 _ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")
 _MOST_LINES, _LEAST_ROWS, _CYCLIC = 64, 20, 0.95  # of a frame; of a table; share of steps
 _COLUMNS_LOOKED_AT = 3
@@ -126,12 +157,12 @@ def refuse_text(path: Path, sample: Sequence[str]) -> None:
             "all, as numpy.savetxt does, or print them after "
             "numpy.set_printoptions(threshold=sys.maxsize)"
         )
-    can = [line for line in lines if _CAN.search(line.rstrip())]
-    if len(can) > len(lines) / 2:
-        raise RefusedError(
-            f"{path} holds frames of a CAN bus in hexadecimal, as in {quote(can[0].strip())}: "
-            "decode them to one line of numbers per frame first"
-        )
+    head = [line for line in sample if line.strip()][:_ROWS_LOOKED_AT]
+    for pattern, share, said in _KINDS:
+        match = re.compile(pattern, re.IGNORECASE).search
+        found = [line.strip() for line in head if match(line.rstrip())]
+        if len(found) > share * len(head):
+            raise RefusedError(f"{path} {said.format(quote(found[0]))}")
     keys = sum(bool(_ECHO_KEY.match(line)) for line in lines)
     if keys > 1 and sum(bool(_ECHO.fullmatch(line)) for line in lines) > 1:
         raise RefusedError(
@@ -142,7 +173,7 @@ def refuse_text(path: Path, sample: Sequence[str]) -> None:
 
 def refuse_thousands(table: Table, sample: Sequence[str]) -> None:
     """Raise RefusedError if some numbers of a column have commas as in 1,234, and others none."""
-    for cells in zip(*_rows(table, sample), strict=False):
+    for cells in zip(*rows_of(table, sample), strict=False):
         grouped = [cell for cell in map(str.strip, cells) if _GROUPED.fullmatch(cell)]
         others = [cell for cell in map(str.strip, cells) if cell and not _GROUPED.fullmatch(cell)]
         whole = any(map(_WHOLE.fullmatch, others)) and all(map(str.isdecimal, others))
@@ -155,7 +186,7 @@ def refuse_thousands(table: Table, sample: Sequence[str]) -> None:
 
 def refuse_lists(table: Table, sample: Sequence[str]) -> None:
     """Raise RefusedError for a column with a list of readings in each cell, as mats export."""
-    rows = [] if table.numeric or table.block else _rows(table, sample)[:_ROWS_LOOKED_AT]
+    rows = [] if table.numeric or table.block else rows_of(table, sample)[:_ROWS_LOOKED_AT]
     for i, cells in enumerate(zip(*rows, strict=False)):
         if len(cells) > 1 and all(map(is_list, cells)):
             named = f"[{table.names[i].strip()!r}]" if table.names else f".iloc[:, {i}]"
@@ -196,7 +227,7 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
     """
     if table.block or table.nested:
         return
-    rows = _rows(table, sample)
+    rows = rows_of(table, sample)
     for i in range(min(_COLUMNS_LOOKED_AT, table.n_columns)):
         named = table.names[i].strip() if table.names else ""
         cells = [row[i] for row in rows]
@@ -221,7 +252,7 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
             )
 
 
-def _rows(table: Table, sample: Sequence[str]) -> list[list[str]]:
+def rows_of(table: Table, sample: Sequence[str]) -> list[list[str]]:
     """Return the cells of the frames, but for lines that do not fit."""
     body = sample[table.first_line - 1 :]
     if table.numeric == "":

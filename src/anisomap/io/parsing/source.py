@@ -25,7 +25,9 @@ Item = TypeVar("Item")
 Line = TypeVar("Line", str, bytes)
 
 _MIN_REPORTED_LOSS = 0.005
-COLOURS = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]")  # of terminals
+# Colours of terminals, and checksums as of NMEA 0183.
+_APART = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]|(?<=[\w.\])])\*[0-9A-Fa-f]{2}(?=\s*$)")
+_ERRORS = re.compile(r"#(?:N/A|(?:VALUE|DIV/0|NUM|REF|NULL)!|NAME\?)")  # of spreadsheets
 
 
 class RefusedError(FileError):
@@ -155,8 +157,7 @@ class TextLines(io.TextIOWrapper):
         if not line:
             raise StopIteration
         self.last, self.number = line, self.number + 1
-        if "\x1b" in line:
-            line = COLOURS.sub("", line)
+        line = plain(line)
         if len(line) == _MAX_LINE:
             raise _long_line(self._path)
         return line
@@ -164,6 +165,13 @@ class TextLines(io.TextIOWrapper):
     def fraction(self) -> float:
         """Return the fraction of the file that was read, from 0 to 1."""
         return self._raw.tell() / self._size
+
+
+def plain(line: str) -> str:
+    """Remove colours and a checksum from a line; cells that are errors become NaN."""
+    if "\x1b" in line or "*" in line:
+        line = _APART.sub("", line)
+    return _ERRORS.sub("nan", line) if "#" in line else line
 
 
 def binary_lines(path: Path, stream: io.BufferedReader) -> Iterator[bytes]:

@@ -41,12 +41,17 @@ _BLOCK_CHARACTERS, _LEAST_PER_LINE = 1 << 22, 1 << 13  # so that blocks have at 
 
 
 _NUMPY = "nan -nan +nan nat"
-_PROGRAMS = "- -- . ? na n/a #n/a <na> null none nil missing ovf ovl overflow"
+_PROGRAMS = "- -- --- . ? na n/a <na> null none nil missing ovf ovl ol overflow err"
 MISSING = frozenset(["", *_NUMPY.split(), *_PROGRAMS.split()])
 """Words for a missing value, in lower case, in recordings, layouts, maps and dissimilarities."""
 
 _IDENTIFIER = re.compile(r"[^\W\d][\w.\-/\\]*")
 _IN_TEXT = re.compile(r"\d")
+_DIGITS = "0123456789.,eE+-"
+_WORD = re.compile(r"\s*[^\W\d_][\w/]*")
+
+SUM = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}){1,4}")
+"""What matches a checksum in hexadecimal digits."""
 
 FORMULA_STARTS = (*"=+-@\t\r", *"\uff1d\uff0b\uff0d\uff20")
 """First characters of a cell that spreadsheets take for a formula, some in full width."""
@@ -84,20 +89,24 @@ def is_number(cell: str, delimiter: str | None = ",") -> bool:
 def is_label(cell: str) -> bool:
     """Return whether a cell is text without a number: ``left``, or a name such as ``S01``."""
     text = cell.strip()
-    return not _IN_TEXT.search(text) or bool(_IDENTIFIER.fullmatch(text))
+    return not _IN_TEXT.search(text) or text[-1] == ":" or bool(_IDENTIFIER.fullmatch(text))
 
 
-_HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]+|\d[0-9A-Fa-f]+")
-_GROUPED = re.compile(r"[-+]?\d{1,3}(?:(?P<mark>[.,' \u00a0])\d{3})(?:(?P=mark)\d{3})*(?:[.,]\d+)?")
+_REMEDIES = {
+    r"[-+]?\d{1,3}(?:([.,' \u00a0])\d{3})(?:\1\d{3})*(?:[.,]\d+)?": "remove thousands separators",
+    r"[-+.\d]{20,}": "separate the numbers by commas",
+    r"true|false|on|off": "write 1 and 0",
+    r"0x[0-9a-f]+|\d[0-9a-f]+": "write decimal numbers",
+    r"[-+]?[\d.]+d[-+]?\d+": "write exponents with E",
+    r"[\d.,]+-|\([\d.,]+\)|\u2212[\d.,]+": "write negative numbers as -12",
+}
 
 
 def remedy_of(cell: str) -> str:
     """Say what to do about a cell that is no number; empty if that is not known."""
-    if _GROUPED.fullmatch(cell.strip()):
-        return "; remove thousands separators from the file"
-    if cell.strip().lower() in ("true", "false", "on", "off"):
-        return "; write 1 and 0"
-    return "; write decimal numbers" if _HEXADECIMAL.fullmatch(cell.strip()) else ""
+    text = cell.strip().lower()
+    found = (remedy for form, remedy in _REMEDIES.items() if re.fullmatch(form, text))
+    return "".join(f"; {remedy} in the file" for remedy in itertools.islice(found, 1))
 
 
 def guard_formula(name: str) -> str:
@@ -213,8 +222,8 @@ class Table:
     names: Of all columns; some may be empty.
     clean: Converts a line to numbers and delimiters; must keep the order of fields.
     clocks: Columns of dates and times of the day, which are read as seconds.
-    block: Rows and columns of the blocks of lines that are frames, which empty lines separate,
-        each below `n_titles` lines.
+    block: Rows and columns of the blocks of lines that are frames, which empty lines or words
+        separate, each below `n_titles` lines.
     nested: Whether brackets hold the lines of a frame together.
     numeric: The delimiter of cleaned lines.
     skipped: What was skipped above the first line.
@@ -293,7 +302,7 @@ def frame_lines(
         if size > _MAX_TOGETHER:
             raise LineError(table.path, number, ": the lines of a frame do not end", surplus=True)
         if not table.nested:
-            ends = is_apart(line)
+            ends = divides(line)
             held += [] if ends else [_clean_row(line, table)]
         else:
             held.append(line.strip())
@@ -314,6 +323,7 @@ def frame_lines(
 
 def _clean_row(line: str, table: Table) -> str:
     content = line.partition("#")[0].strip()
+    content = content.removeprefix("|")
     return content.rstrip(table.delimiter).strip() if table.delimiter else content
 
 
@@ -336,8 +346,11 @@ def read_blocks(
         lines = frame_lines(numbered_from(text, table), table, quietly=quietly)
         for some in batches(lines, lambda line: len(line[1]) + _LEAST_PER_LINE, _BLOCK_CHARACTERS):
             is_cut = some[-1][0] == text.number and not text.last.endswith(("\n", "\r"))
-            for rows in parsed(some, table, left, is_cut=is_cut):
+            short = is_cut and is_short([line for _, line in some])
+            for rows in parsed(some[:-1] if short else some, table, left, is_cut=is_cut):
                 yield rows, text.fraction()
+            if short:
+                raise LineError(table.path, text.number, " ends in a short number")
             if 2 * left.n_left > left.n_lines:
                 left.check()
         left.check()
@@ -347,6 +360,12 @@ def read_blocks(
     return read_undamaged(
         table.path, parse, "frames", count=lambda block: len(block[0]), quietly=quietly
     )
+
+
+def is_short(lines: Sequence[str]) -> bool:
+    """Return whether the last number of the last line has fewer characters than all before."""
+    *before, last = (len(line.rstrip()) - len(line.rstrip().rstrip(_DIGITS)) for line in lines)
+    return len(before) >= _MIN_FIRST_ROWS and last < min(before)
 
 
 def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:
@@ -385,6 +404,12 @@ def is_apart(line: str) -> bool:
     return is_skipped(line) or not any(map(str.isalnum, line))
 
 
+def divides(line: str) -> bool:
+    """Return whether a line divides frames of rows: it is apart, or begins with a word."""
+    word = _WORD.match(line)
+    return is_apart(line) or (word is not None and not is_missing(word[0]))
+
+
 def parse_row(
     path: Path, line: int, fields: Sequence[str], columns: Mapping[int, str]
 ) -> list[float]:
@@ -400,7 +425,7 @@ def parse_row(
 
 def _text_to_nan(field: str) -> float:
     """Convert a field of a text column to NaN; raise ValueError for a number."""
-    if not is_missing(field) and is_number(field):
+    if not is_missing(field) and is_number(field) and not SUM.fullmatch(field.strip()):
         raise ValueError(field)
     return math.nan
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import Continued, is_date, words_of
+from anisomap.base.columns import odd_names
 from anisomap.base.wording import join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
@@ -43,6 +44,7 @@ from anisomap.io.parsing.refusals import (
     refuse_text,
     refuse_thousands,
     refuse_turned,
+    rows_of,
 )
 from anisomap.io.parsing.source import RefusedError, lines_of, quote_if_needed, warn
 from anisomap.io.parsing.tables import (
@@ -56,6 +58,7 @@ from anisomap.io.parsing.tables import (
 )
 from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import Block, ReadOptions, Stream, refuse_selection, to_float32_if_exact
+from anisomap.names import default_names
 from anisomap.recording import Recording, Scalar
 
 _POINTS, _UNITS = ("positions", "normals"), "units"
@@ -78,6 +81,10 @@ _WHOLE = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?![\d.,])")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}[,.]\d{3}")
 _ROW, _CYCLIC = {"row", "line", "zeile"}, 0.9  # words; share of steps to the next row
 _MIN_NUMBERED, _FRAMES = 3, {"", "frame", "frames", "sample", "index"}  # of several rows
+_MIN_WRITTEN, _MOST_SAME = 20, 0.05  # rows; share of lines that were sent twice
+_MARKS = {*(float(s * (10**k - 1)) for k in (4, 5, 6) for s in (-1, 1)), -1.0, -99.0, -999.0}
+_MARKS |= {2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1, 2.0**32 - 1, -(2.0**15), -(2.0**31)}
+_MIN_SPAN, _MIN_FALLS = 8, 3
 _RATE = re.compile(
     r"(?i)\b(fs|(?:sampl\w*|scan\w*|frame|acquisition|update)?[ _-]*(?:rate|freq\w*))\b\W*"
     r"(?:k?Hz|fps)?[\W]*(\d+(?:\.\d+)?)\s*(?:[\]\s,;]|k?hz|fps|$)"
@@ -166,6 +173,7 @@ def stream_of(
         elif not options.keep:
             refuse_turned(table, sample, {*roles.non_sensors} - {*table.text_columns})
             roles = _without_frame_numbers(table, roles, options.grid, start)
+            roles = _without_unlike(table, roles, rows_of(table, sample[: table.first_line + 99]))
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -176,6 +184,8 @@ def stream_of(
         n_sensors = size[0] * size[1]
         facts = {"names": grid_names(*size), "positions": grid_positions(*size), "units": UNITS}
     in_rows = options.grid is not None and options.grid[0] > 1 and options.grid[1] == n_sensors
+    lines = table.block is None and matrix is None
+    read = functools.partial(read, repeats=(roles.time is None or in_rows) and lines)
     facts |= _known_points(path, known, n_sensors)
     rate_hz = known.get("rate_hz")
     if not known and roles.time is None:
@@ -184,7 +194,7 @@ def stream_of(
     return Stream(
         path,
         n_sensors,
-        _blocks(table, roles, matrix, in_rows, read),
+        _blocks(table, roles, matrix, read, facts["names"]),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
         metadata=metadata if known else _column_metadata(table, roles),
@@ -204,7 +214,7 @@ def _say(table: Table, sample: Sequence[str]) -> None:
         warn(table.path, f"skipped {table.skipped}")
     if table.block:
         size = "{} rows and {} columns".format(*table.block)
-        apart = "brackets" if table.nested else "empty lines or comments"
+        apart = "brackets" if table.nested else "empty lines, comments or words"
         warn(table.path, f"{apart} divide frames of {size}")
     if table.separator != ",":
         refuse_thousands(table, sample)
@@ -363,6 +373,22 @@ def _without_frame_numbers(
     )
 
 
+def _without_unlike(table: Table, roles: Roles, rows: Sequence[Sequence[str]]) -> Roles:
+    """Leave out a first or last column with decimals where all others have none, or none itself."""
+    left = [i for i in range(table.n_columns) if i not in roles.non_sensors]
+    if len(rows) < _MIN_WRITTEN or len(left) <= _MIN_NUMBERED or table.block:
+        return roles
+    written = {i: {any(map(row[i].__contains__, ".,")) for row in rows if row[i]} for i in left}
+    for i in {left[0], left[-1]} & {*(odd_names(table.names) if table.names else left)}:
+        others = {frozenset(written[k]) for k in left if k != i}
+        if len(written[i]) == 1 and others == {frozenset({True, False} - written[i])}:
+            how = "with" if True in written[i] else "without"
+            problem = f"{_column_label(table, i)} is written {how} decimals, unlike all others"
+            warn(table.path, f"{problem}, and is left out; give --keep to choose others")
+            return dataclasses.replace(roles, non_sensors=tuple(sorted({i, *roles.non_sensors})))
+    return roles
+
+
 def _warn_of_commas(path: Path, sample: Sequence[str]) -> None:
     """Warn if all numbers with a comma could also have thousands separators."""
     marks = ["commas", "points"] if any(map(_WHOLE.search, sample[1:])) else ["commas"]
@@ -385,18 +411,115 @@ def _blocks(
     table: Table,
     roles: Roles,
     matrix: MatrixRows | None,
-    in_rows: bool,
     read: Callable[..., Iterator[tuple[NDArray[np.float64], float]]],
+    names: Sequence[str],
 ) -> Iterator[Block]:
     unrolled = Continued(0.0 if roles.time in table.clocks else roles.per_second)
-    repeats = (roles.time is None or in_rows) and table.block is None and matrix is None
-    for values, fraction in read(repeats=repeats):
+    lines = table.block is None and matrix is None  # that are a frame each
+    fresh, present = _Fresh(table.path), _Present(table.path, names)
+    for rows, fraction in read():
+        values = fresh(rows) if lines and roles.time is not None else rows
         times = roles.times_in(values)
         times = None if times is None else unrolled(times)
         readings = np.delete(values, roles.non_sensors, axis=1)
         if matrix:
             readings, times = matrix.join(values[:, matrix.columns[0]], readings, times)
-        yield Block(to_float32_if_exact(readings), fraction, times)
+        yield Block(to_float32_if_exact(present(readings)), fraction, times)
+
+
+@dataclasses.dataclass
+class _Fresh:
+    """Drops lines that were sent twice: equal to the line before, with its time, and few."""
+
+    path: Path
+    _before: Any = None
+    _n_same: int = 0
+    _n_rows: int = 0
+
+    def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the rows, (t, n_columns), without those."""
+        if not len(rows):
+            return rows
+        before = np.vstack([rows[:1] + 1 if self._before is None else self._before, rows[:-1]])
+        self._before = rows[-1:]
+        same = ((rows == before) | (np.isnan(rows) & np.isnan(before))).all(axis=1)
+        first, self._n_rows = self._n_same == 0, self._n_rows + len(rows)
+        self._n_same += int(np.count_nonzero(same))
+        few = 0 < self._n_same <= max(1, _MOST_SAME * self._n_rows)
+        if few and first:
+            warn(self.path, "lines that repeat the one before, with its time, are left out")
+        return np.delete(rows, np.flatnonzero(same & few), axis=0)
+
+
+@dataclasses.dataclass
+class _Present:
+    """Makes readings NaN that stand for missing ones, with a warning for each such number.
+
+    These are the ends of number types and repeated nines, beyond a gap from all other readings;
+    and -1 where no other is negative, if pressed sensors have it for a frame.
+    """
+
+    path: Path
+    names: Sequence[str]
+    _low: float = np.inf
+    _high: float = -np.inf
+    _seen: Any = False  # whether sensors had another reading: some may not be connected
+    _last: Any = None
+    _n_falls: Any = 0
+    _n_frames: int = 0
+    _said: tuple[float, ...] = ()
+
+    def __call__(self, readings: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the next readings, (t, N)."""
+        if not readings.size:
+            return readings
+        low, high = (float(end.reduce(readings, axis=None)) for end in (np.fmin, np.fmax))
+        marks = [end for end in (low, high) if end in _MARKS or 3.4e38 < abs(end) < 3.41e38]
+        others: Any = np.isfinite(readings)
+        if marks:
+            others &= ~np.isin(readings, [*_MARKS, *marks])
+            low = float(np.min(readings, initial=np.inf, where=others))
+            high = float(np.max(readings, initial=-np.inf, where=others))
+        self._low, self._high = min(self._low, low), max(self._high, high)
+        self._seen = self._seen | others.any(axis=0)
+        found = readings
+        for mark in marks:
+            places = (readings == mark) & self._seen
+            if places.any() and self._stands_apart(mark, readings):
+                found = np.where(places, np.nan, found)
+                self._say(mark, places)
+        self._last, self._n_frames = readings[-2:], self._n_frames + len(readings)
+        return found
+
+    def _stands_apart(self, mark: float, readings: NDArray[np.float64]) -> bool:
+        span = self._high - self._low
+        if mark != -1 or span < _MIN_SPAN or self._low < 0:
+            beyond = mark > self._high + span or mark < min(self._low - span / 8, 0)
+            return mark != -1 and span > 0 and beyond
+        rows = readings if self._last is None else np.vstack([self._last, readings])
+        low, marked = rows[1:-1] <= self._low + span / 50, rows[1:-1] == mark
+        pressed = np.minimum(rows[:-2], rows[2:]) - self._low > span / np.reshape([4, 2], (2, 1, 1))
+        # Few that are pressed before and after fall to other low readings.
+        net = np.count_nonzero(pressed & marked, (1, 2)) - np.count_nonzero(
+            pressed & low & ~marked, (1, 2)
+        )
+        self._n_falls = self._n_falls + net
+        return bool((self._n_falls >= _MIN_FALLS).any())
+
+    def _say(self, mark: float, places: NDArray[np.bool_]) -> None:
+        if mark in self._said:
+            return
+        self._said = (*self._said, mark)
+        frames, sensors = np.nonzero(places)
+        names = self.names or default_names(places.shape[1])
+        listed = join_items([quote_if_needed(names[i]) for i in np.unique(sensors)], 3)
+        place = f"frame {self._n_frames + int(frames[0])}"
+        apart = f"it is not among the others, {self._low:g} to {self._high:g}"
+        warn(
+            self.path,
+            f"{mark:g} stands for a missing reading in {listed} (first in {place}), since {apart}; "
+            "to keep it, make the recording in Python: anisomap.Recording(pandas.read_csv(path))",
+        )
 
 
 @dataclasses.dataclass

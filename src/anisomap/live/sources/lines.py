@@ -15,21 +15,23 @@ from anisomap.errors import InputError
 from anisomap.io.columns import sensors_of
 from anisomap.io.parsing.names import ROWS_LOOKED_AT
 from anisomap.io.parsing.refusals import lines_per_frame
-from anisomap.io.parsing.source import COLOURS, RefusedError, quote, said_here
+from anisomap.io.parsing.source import RefusedError, plain, quote, said_here
 from anisomap.io.parsing.tables import (
     HeaderError,
     LeftOut,
     Numbered,
     Table,
     depth_of,
+    divides,
     frame_lines,
     is_apart,
+    is_short,
     numbered_from,
     parsed,
 )
 from anisomap.io.presets import grid_names, in_grid
 from anisomap.io.recordings.delimited_text import layout_of, stream_of
-from anisomap.io.stream import ReadOptions
+from anisomap.io.stream import ReadOptions, doubt_of_rows
 from anisomap.live.batches import Batch, Item, Names, Notice
 
 MAX_LINE = 1 << 22
@@ -40,6 +42,9 @@ MIN_SENSORS = 2
 
 _LOOKED_AT, LOOKED_AT_S = 100, 2.0  # lines, or time, from which the layout is found
 _MAX_HELD = 1000  # lines without a frame
+_LEAST_NAMES = 4  # of a header that is no other line
+_COMPARED = 50  # lines, with one that may be cut
+_MOST_UNREAD = 20  # lines that do not fit, one after the other, before a layout is found anew
 _MAX_BAD = 0.1  # of the lines from which the layout is found
 _WHERE = Path("the stream")  # in errors of readers of files
 _OPTIONS_OF_FILES = re.compile(r"[;,] (?:give|choose with) --(?:keep|axis)[^;]*")
@@ -57,6 +62,7 @@ class LineParser:
         self._rest = bytearray()
         self._overlong = self._after_return = False
         self._held: list[str] = []
+        self._last: list[str] = []
         self._n_filled, self._since = 0, 0.0
         self._reader: _Reader | None = None
 
@@ -73,6 +79,7 @@ class LineParser:
             lines = bytes(self._rest + ended).split(b"\n")
             self._rest.clear()
         self._rest += rest
+        cut = complete and not content and bool(self._rest)  # perhaps
         if complete and self._rest:
             lines.append(bytes(self._rest))
             self._rest.clear()
@@ -83,7 +90,10 @@ class LineParser:
             self._overlong = False
             del lines[0]
             yield Notice(f"ignored a line without a frame: it has more than {MAX_LINE} bytes")
-        texts = [f"{COLOURS.sub('', line.decode('utf-8-sig', 'replace'))}\n" for line in lines]
+        texts = [plain(line.decode("utf-8-sig", "replace") + "\n") for line in lines]
+        if cut and lines and is_short([*self._last, *texts]):
+            yield Notice(f"ignored the last line, which is cut: {quote(texts.pop())}")
+        self._last = [*self._last, *texts][-_COMPARED:]
         yield from self._read(texts)
 
     def wait(self) -> Iterator[Item]:
@@ -97,15 +107,19 @@ class LineParser:
     def _read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
         if self._reader:
             yield from self._reader.read(lines, ended=ended)
-            return
+            if not (lines := self._reader.others):
+                return
+            self._reader, self._n_filled = None, 0  # a board that started again with other names
+            shown = quote(lines[0].strip())
+            yield Notice(f"lines of another kind begin, with {shown}: they are read anew")
         self._since = self._since if self._n_filled else time.monotonic()
         self._held += lines
         self._n_filled += sum(not is_apart(line) for line in lines)
         waited = time.monotonic() - self._since
         if self._held and (ended or self._n_filled >= _LOOKED_AT or waited > LOOKED_AT_S):
-            yield from self._found(waited)
+            yield from self._found(waited, ended=ended)
 
-    def _found(self, waited: float) -> Iterator[Item]:
+    def _found(self, waited: float, *, ended: bool) -> Iterator[Item]:
         """Find the layout of the lines that are held, and parse them."""
         problem, held = "", self._held
         # The first lines may be of another kind: cut, or of a board that starts.
@@ -118,18 +132,22 @@ class LineParser:
                 if isinstance(error, RefusedError):
                     break
                 continue
-            for _, problem in said:
-                yield Notice(_OPTIONS_OF_FILES.sub("", problem))
+            if start > 1:
+                yield Notice(f"skipped the first {start} lines: {problem}")
+            yield from _notices(said)
             self._held = []
-            yield from self._reader.begin(waited)
+            yield from self._reader.begin(waited, ended=ended)
             return
-        del held[: max(0, len(held) - _MAX_HELD)]
+        del held[_LOOKED_AT : max(_LOOKED_AT, len(held) - _MAX_HELD)]
         self._n_filled = 0
         yield Notice(f"no frame yet: {_OPTIONS_OF_FILES.sub('', problem)}")
 
 
 class _Reader:
-    """Reads lines that follow each other in the layout of the first ones."""
+    """Reads lines that follow each other in the layout of the first ones.
+
+    others: The lines from the first on that have another layout.
+    """
 
     def __init__(self, lines: Sequence[str], options: ReadOptions) -> None:
         self._table = table = layout_of(_WHERE, lines, {}, options)
@@ -140,10 +158,11 @@ class _Reader:
             raise left.first or InputError("no line of numbers")
         self._left, self._n_told, self._bad = LeftOut(), 0, ""
         self._seen, self._n_seen = list[NDArray[np.floating]](), 0
-        self._ended, self._has_grid = False, options.grid is not None
+        self._is_late, self._ended, self._has_grid = False, False, options.grid is not None
+        self._unread, self.others = list[str](), list[str]()
         stream = stream_of(table, lines, start, self._rows, options)
         stream = in_grid(sensors_of(stream, options), options.grid)
-        self._blocks, self._names = stream.blocks, stream.names
+        self._stream, self._blocks, self._names = stream, stream.blocks, stream.names
         if options.grid:
             self._names = grid_names(*options.grid)
             if len(self._names) != stream.n_sensors:
@@ -152,11 +171,11 @@ class _Reader:
         if stream.n_sensors < MIN_SENSORS:
             raise InputError("no line of two readings or more")
 
-    def begin(self, waited: float) -> Iterator[Item]:
+    def begin(self, waited: float, *, ended: bool = False) -> Iterator[Item]:
         """Parse the first lines, which have arrived in some seconds."""
         if self._names:
             yield Names(self._names)
-        for item in self.read([]):
+        for item in self.read([], ended=ended):
             if isinstance(item, Batch) and item.times is None and waited > 0:
                 yield Batch(item.readings, np.linspace(0, waited, len(item.readings)))
             else:
@@ -166,13 +185,20 @@ class _Reader:
         """Parse lines; those that do not fit are left out with a notice."""
         self._ended = ended
         self._pending += enumerate(lines, start=1)
-        block = next(self._blocks)
+        with said_here() as said:
+            block = next(self._blocks)
+        yield from _notices(said)
         if len(block.readings):
             times = block.times
             is_known = times is not None and bool(np.isfinite(times).all())
             yield Batch(block.readings.astype(np.float64), times if is_known else None)
             yield from self._look_again(block.readings)
-        if self._left.n_left > self._n_told:
+            if times is not None and not self._is_late and (np.diff(times) <= 0).any():
+                self._is_late = True
+                yield Notice("times do not increase; those of arrival take their place")
+        if ended and (doubt := doubt_of_rows(self._stream, self._n_seen)):
+            yield Notice(doubt)
+        if self._left.n_left > self._n_told and not self.others:
             self._n_told = self._left.n_left
             yield Notice(f"ignored lines without a frame: {self._n_told}, such as {self._bad}")
 
@@ -194,8 +220,13 @@ class _Reader:
         while True:
             lines = self._whole_frames()
             rows = _parsed(lines, table, left)
+            self._unread = [] if len(rows) else [*self._unread, *(line for _, line in lines)]
             if left.first:
                 self._bad = quote(dict(lines)[left.first.line].strip())
+                is_header = isinstance(left.first, HeaderError) and table.n_columns >= _LEAST_NAMES
+                unread = [line for number, line in lines if number >= left.first.line]
+                if is_header or sum(not is_apart(s) for s in self._unread) >= _MOST_UNREAD:
+                    self.others = unread if is_header else self._unread
                 left.first = None
             yield rows, 0.0
 
@@ -204,20 +235,29 @@ class _Reader:
         lines, table, n_whole, depth = self._pending, self._table, 0, 0
         for i, (_, line) in enumerate(lines):
             depth += depth_of(line) if table.nested else 0
-            if self._ended or (is_apart(line) if table.block and not table.nested else depth <= 0):
+            ends = divides(line) if table.block and not table.nested else depth <= 0
+            if self._ended or ends:
                 n_whole = i + 1
         self._pending = lines[n_whole:]
         return [*frame_lines(lines[:n_whole], table)]
 
 
 def _parsed(lines: list[Numbered], table: Table, left: LeftOut) -> NDArray[np.float64]:
-    """Return the rows, (t, n_columns), of lines, without those that do not fit."""
+    """Return the rows, (t, n_columns), of lines before a header, without those that do not fit."""
     held = [np.empty((0, table.n_columns))]
     while lines:
         try:
             held += parsed(lines, table, left)
             break
-        except HeaderError as error:  # of a board that started again with other names
+        except HeaderError as error:
             left.n_left, left.first = left.n_left + 1, left.first or error
             lines = [each for each in lines if each[0] > error.line]
+            if table.n_columns >= _LEAST_NAMES:
+                left.first = error
+                break
     return np.concatenate(held)
+
+
+def _notices(said: Sequence[tuple[str, str]]) -> Iterator[Notice]:
+    """Yield what readers of files have said, without options that live sessions lack."""
+    yield from (Notice(_OPTIONS_OF_FILES.sub("", text)) for _, text in said)
