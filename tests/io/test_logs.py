@@ -69,29 +69,19 @@ READ = {
     "a second header": joined(["S"] * N) + "\n" + table(PRESSED, names=range(N)),
     "a list with its length": lines(lambda t, row: f"taxels,{N},{N},0,{joined(row)}"),
     "checksums of NMEA": lines(lambda t, row: f"{joined(row)}*{t % 256:02X}"),
-    "checksums in hexadecimal": lines(
-        lambda t, row: f"{joined(row)},{(sum(row) * 40503 + t) % 65536:04X}"
-    ),
+    "checksums": lines(lambda t, row: f"{joined(row)},{(sum(row) * 40503 + t) % 65536:04X}"),
     "a clock of Zephyr": lines(
-        lambda t, row: f"[00:00:{t // 50:02}.{t % 50 * 20:03},000] <inf> skin: {joined(row, ' ')}"
+        lambda t, row: f"[00:{t // 60:02}:{t % 60:02}.100,000] skin: {joined(row, ' ')}"
     ),
-    "frames between words": lines(
+    "words between frames": lines(
         lambda t, row: f"SCAN {t}\n" + table(np.reshape(row, (3, 4)), names=None) + "END"
-    ),
-    "cells between bars": lines(
-        lambda t, row: f"| {joined(row[:6], ' | ')} |\n| {joined(row[6:], ' | ')} |\n"
     ),
     "places of sensors": table([np.arange(N) % 4 * 5, np.arange(N) // 4 * 5, *PRESSED]),
     "gains of sensors": table([np.arange(N) / 100 + 1, *PRESSED]),
-    "numbers of sensors": table([range(1, N + 1), *PRESSED]),
-    "units below Vicon's names": "Devices\n50\n"
-    + table([["V"] * 12, *PRESSED], names=["Frame,Sub Frame", *NAMES]).replace("\nV", "\n,,V"),
     "a temperature": lines(lambda t, row: f"{joined(row)},{24 + t / 128:.2f}"),
     "c0 and units": lines(lambda t, row: " ".join(f"c{i}={v}mV" for i, v in enumerate(row))),
     "stamps of JSON, with objects": lines(
-        lambda t, row: json.dumps(
-            {"t": t / 50, "d": [{"id": i, "v": v} for i, v in enumerate(row)], "fw": 3}
-        )
+        lambda t, row: json.dumps({"t": t / 50, "d": [{"id": v, "v": row[v]} for v in range(N)]})
     ),
     "stamps of each channel": table(
         [[x for v in row for x in (t / 50, v)] for t, row in FRAMES],
@@ -154,18 +144,8 @@ REFUSED = {
         lines(lambda t, row: f"{t:08x}: " + " ".join(f"{v:04x}" for v in row)),
         "holds hexadecimal numbers, as in '00000000: ",
     ),
-    "MATLAB's display": (
-        "A =\n\n  Columns 1 through 6\n\n" + table(PRESSED[:, :6], " ", None),
-        "as MATLAB prints it, as in 'Columns 1 through 6': use writematrix",
-    ),
-    "no blanks": (
-        lines(lambda t, row: "".join(f"{v + 1000:4}" for v in row)),
-        "has no separators between numbers",
-    ),
-    "exponents of Fortran": (
-        lines(lambda t, row: " ".join(f"{v:.3E}".replace("E", "D") for v in row)),
-        "write exponents with E",
-    ),
+    "MATLAB": ("  Columns 1 through 12\n\n" + table(PRESSED, " ", None), "use writematrix"),
+    "no blanks": (lines(lambda t, row: "".join(f"{v + 1000:4}" for v in row)), "no separators"),
     "thousands": (
         table([[f"{v:,}".replace(",", "'") for v in row] for row in PRESSED], ";"),
         "is not a number; remove thousands",

@@ -442,7 +442,7 @@ def _inner_rows(frame: str) -> int:
 
 
 def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
-    """Find frames of several lines, between empty lines, comments or words, or below a title."""
+    """Find frames of several lines, between empty lines, comments, words or single numbers."""
     parts = [(apart, [*lines]) for apart, lines in itertools.groupby(sample, divides)]
     groups = [lines for apart, lines in parts if not apart]
     between = [lines for apart, lines in parts[1:-1] if apart]
@@ -453,28 +453,25 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
     if len(whole) < _MIN_BLOCKS or len(heights) != 1 or not 1 < (height := heights.pop()) <= _TALL:
         return None
     for delimiter in DELIMITERS:
-        for n_titles in (0, 1):
-            lines = (line for group in whole for line in group[n_titles:])
-            rows = [_split(_unframed(s) if delimiter == "|" else s, delimiter) for s in lines]
-            widths = set(map(len, rows))
-            empty = empty_columns(rows) if rows else 0
-            numeric = all(is_number(cell, delimiter) for row in rows for cell in row)
-            n_rows, n_columns = height - n_titles, min(widths, default=0) - empty
-            if len(widths) == 1 and numeric and n_columns > 1 and n_rows > 1:
-                first = next(i for i, line in enumerate(sample) if not divides(line))
-                cells = [[parse_number(c, delimiter) for c in row[:n_columns]] for row in rows]
-                blocks = np.array(cells).reshape(len(whole), n_rows, n_columns)
-                return Table(
-                    path,
-                    delimiter,
-                    n_rows * n_columns,
-                    f"the first block has {n_rows} x {n_columns}",
-                    first + 1,
-                    clean=functools.partial(_clean, delimiter, 0) if delimiter != "," else None,
-                    block=(n_rows, n_columns),
-                    n_titles=n_titles,
-                    doubt="" if n_titles or marked else _doubt_of(blocks),
-                )
+        lines = itertools.chain.from_iterable(whole)
+        rows = [_split(_unframed(s) if delimiter == "|" else s, delimiter) for s in lines]
+        widths, empty = set(map(len, rows)), empty_columns(rows)
+        numeric = all(is_number(cell, delimiter) for row in rows for cell in row)
+        n_columns = min(widths) - empty
+        if len(widths) == 1 and numeric and n_columns > 1:
+            first = next(i for i, line in enumerate(sample) if not divides(line))
+            cells = [[parse_number(c, delimiter) for c in row[:n_columns]] for row in rows]
+            blocks = np.array(cells).reshape(len(whole), height, n_columns)
+            return Table(
+                path,
+                delimiter,
+                height * n_columns,
+                f"the first block has {height} x {n_columns}",
+                first + 1,
+                clean=functools.partial(_clean, delimiter, 0) if delimiter != "," else None,
+                block=(height, n_columns),
+                doubt="" if marked else _doubt_of(blocks),
+            )
     return None
 
 

@@ -79,40 +79,24 @@ _ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
 _MIN_SHARE = 0.3  # of lines without their middle
 _DOCUMENT = re.compile(r"\s*+\[\s*+\[")
 _BYTES = r"(?<![\w.])(?:(?:[0-9A-F]{2}){1,2}h?[\s,]+)"
-# Patterns of lines, the least share of the lines that match, and what to say.
+# The least share of the lines that match a pattern, and what to say.
+# fmt: off
 _KINDS = (
-    (
-        r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)"
-        r"|\s[dsx]\s+\d(?:\s+[0-9A-F]{2})+\b|^T[0-9A-F]{4}(?:[0-9A-F]{2}){1,8}$",
-        0.5,
-        "holds frames of a CAN bus in hexadecimal, as in {}: decode them to one line of numbers "
-        "per frame first",
-    ),
-    (
-        rf"{_BYTES}{{3,}}(?=\w{{1,3}}[A-F])[0-9A-F]{{2,4}}h?(?![\w.])|^[0-9A-F]{{7,8}}:? .*\|$",
-        _MIN_SHARE,
-        "holds hexadecimal numbers, as in {}: write decimal numbers",
-    ),
-    (r"^(?:[01]{4,16}[\s,;]*){3,}$", 0.9, "holds binary digits, as in {}: write decimal numbers"),
-    (
-        r"(?<![\w.])(?:\d{21,}|(?:\d+\.){4,}\d)",
-        0.5,
-        "has no separators between numbers, as in {}: write commas",
-    ),
-    (
-        r"^\s*Columns? \d+ (?:through|and|to) \d+:?$|^\s*[\d.]+e[-+]\d+ \*$"
-        r"|^\[[^\[\]]*;[^\[\]]*\]$",
-        0.0,
-        "holds an array as MATLAB prints it, as in {}: use writematrix(array, 'run.csv')",
-    ),
-    (
-        r"^#(?:group|datatype),",
-        0.0,
-        "is an annotated table of InfluxDB, with {}; in Python it is anisomap.Recording(pandas."
-        "read_csv(path, comment='#').pivot(index='_time', columns='_field', values='_value'))",
-    ),
-    (r"^\s*\{$", 0.0, "has objects of JSON on several lines, as in {}: write each on one line"),
+    (0.5, r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)"
+     r"|\s[dsx]\s+\d(?:\s+[0-9A-F]{2})+\b|^T[0-9A-F]{4}(?:[0-9A-F]{2}){1,8}$",
+     "holds frames of a CAN bus in hexadecimal, as in {}: decode them to lines of numbers first"),
+    (_MIN_SHARE, rf"{_BYTES}{{3,}}(?=\w{{1,3}}[A-F])[0-9A-F]{{2,4}}h?(?![\w.])",
+     "holds hexadecimal numbers, as in {}: write decimal numbers"),
+    (0.9, r"^(?:[01]{4,16}[\s,;]*){3,}$", "holds binary digits, as in {}: write decimal numbers"),
+    (0.5, r"(?<![\w.])(?:\d{21,}|(?:\d+\.){4,}\d)",
+     "has no separators between numbers, as in {}: write commas"),
+    (0.0, r"^\s*Columns? \d+ (?:through|and|to) \d+:?$|^\s*[\d.]+e[-+]\d+ \*$"
+     r"|^\[[^\[\]]*;[^\[\]]*\]$",
+     "holds an array as MATLAB prints it, as in {}: use writematrix(array, 'run.csv')"),
+    (0.0, r"^#(?:group|datatype),", "is a table of InfluxDB, with {}: pivot it by _time, _field"),
+    (0.0, r"^\s*\{$", "has objects of JSON on several lines, as in {}: write each on one line"),
 )
+# fmt: on
 _ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")
 _MOST_LINES, _LEAST_ROWS, _CYCLIC = 64, 20, 0.95  # of a frame; of a table; share of steps
 _COLUMNS_LOOKED_AT = 3
@@ -158,7 +142,7 @@ def refuse_text(path: Path, sample: Sequence[str]) -> None:
             "numpy.set_printoptions(threshold=sys.maxsize)"
         )
     head = [line for line in sample if line.strip()][:_ROWS_LOOKED_AT]
-    for pattern, share, said in _KINDS:
+    for share, pattern, said in _KINDS:
         match = re.compile(pattern, re.IGNORECASE).search
         found = [line.strip() for line in head if match(line.rstrip())]
         if len(found) > share * len(head):

@@ -48,6 +48,7 @@ MISSING = frozenset(["", *_NUMPY.split(), *_PROGRAMS.split()])
 _IDENTIFIER = re.compile(r"[^\W\d][\w.\-/\\]*")
 _IN_TEXT = re.compile(r"\d")
 _DIGITS = "0123456789.,eE+-"
+_ROW = re.compile(r"[^\s,;|][\s,;|]+[^\s,;|]")
 _WORD = re.compile(r"\s*[^\W\d_][\w/]*")
 
 SUM = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}){1,4}")
@@ -222,8 +223,7 @@ class Table:
     names: Of all columns; some may be empty.
     clean: Converts a line to numbers and delimiters; must keep the order of fields.
     clocks: Columns of dates and times of the day, which are read as seconds.
-    block: Rows and columns of the blocks of lines that are frames, which empty lines or words
-        separate, each below `n_titles` lines.
+    block: Rows and columns of the blocks of lines that are frames: see `divides`.
     nested: Whether brackets hold the lines of a frame together.
     numeric: The delimiter of cleaned lines.
     skipped: What was skipped above the first line.
@@ -242,7 +242,6 @@ class Table:
     text_columns: tuple[int, ...] = ()
     clocks: tuple[int, ...] = ()
     block: tuple[int, int] | None = None
-    n_titles: int = 0
     nested: bool = False
     numeric: str | None = ""
     skipped: str = ""
@@ -295,7 +294,7 @@ def frame_lines(
         yield from _single_lines(numbered, table, quietly=quietly)
         return
     held, size, depth, number, n_frames = list[str](), 0, 0, 0, 0
-    n_rows = table.block[0] + table.n_titles if table.block and not table.nested else 0
+    n_rows = table.block[0] if table.block and not table.nested else 0
     between = table.delimiter or " "
     for number, line in numbered:
         size += len(line)
@@ -309,7 +308,7 @@ def frame_lines(
             depth += depth_of(line)
             ends = depth <= 0
         if ends and held:
-            yield number, between.join(held[table.n_titles :])
+            yield number, between.join(held)
             held, size, n_frames = [], 0, n_frames + 1
     if not held:
         return
@@ -318,7 +317,7 @@ def frame_lines(
             problem = f"the last frame has {len(held)} of {n_rows or 'its'} lines and is dropped"
             warn(table.path, f"{problem}; read the frames before it: {n_frames}")
         return
-    yield number, between.join(held[table.n_titles :])
+    yield number, between.join(held)
 
 
 def _clean_row(line: str, table: Table) -> str:
@@ -405,9 +404,10 @@ def is_apart(line: str) -> bool:
 
 
 def divides(line: str) -> bool:
-    """Return whether a line divides frames of rows: it is apart, or begins with a word."""
+    """Return whether a line divides frames of rows: it is apart, or a word or number is first."""
     word = _WORD.match(line)
-    return is_apart(line) or (word is not None and not is_missing(word[0]))
+    single = not _ROW.search(line)
+    return single or is_apart(line) or (word is not None and not is_missing(word[0]))
 
 
 def parse_row(

@@ -438,11 +438,9 @@ class _Fresh:
 
     def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rows, (t, n_columns), without those."""
-        if not len(rows):
-            return rows
-        before = np.vstack([rows[:1] + 1 if self._before is None else self._before, rows[:-1]])
-        self._before = rows[-1:]
-        same = ((rows == before) | (np.isnan(rows) & np.isnan(before))).all(axis=1)
+        bits = np.ascontiguousarray(rows).view(np.int64)  # in which NaN equals itself
+        before = np.vstack([~bits[:1] if self._before is None else self._before, bits])
+        same, self._before = (bits == before[:-1]).all(axis=1), before[-1:]
         first, self._n_rows = self._n_same == 0, self._n_rows + len(rows)
         self._n_same += int(np.count_nonzero(same))
         few = 0 < self._n_same <= max(1, _MOST_SAME * self._n_rows)
@@ -487,7 +485,8 @@ class _Present:
             places = (readings == mark) & self._seen
             if places.any() and self._stands_apart(mark, readings):
                 found = np.where(places, np.nan, found)
-                self._say(mark, places)
+                if mark not in self._said:
+                    self._say(mark, places)
         self._last, self._n_frames = readings[-2:], self._n_frames + len(readings)
         return found
 
@@ -500,26 +499,20 @@ class _Present:
         low, marked = rows[1:-1] <= self._low + span / 50, rows[1:-1] == mark
         pressed = np.minimum(rows[:-2], rows[2:]) - self._low > span / np.reshape([4, 2], (2, 1, 1))
         # Few that are pressed before and after fall to other low readings.
-        net = np.count_nonzero(pressed & marked, (1, 2)) - np.count_nonzero(
-            pressed & low & ~marked, (1, 2)
-        )
-        self._n_falls = self._n_falls + net
+        self._n_falls += np.sum(pressed * (1 * marked - (low & ~marked)), axis=(1, 2))
         return bool((self._n_falls >= _MIN_FALLS).any())
 
     def _say(self, mark: float, places: NDArray[np.bool_]) -> None:
-        if mark in self._said:
-            return
         self._said = (*self._said, mark)
-        frames, sensors = np.nonzero(places)
         names = self.names or default_names(places.shape[1])
-        listed = join_items([quote_if_needed(names[i]) for i in np.unique(sensors)], 3)
-        place = f"frame {self._n_frames + int(frames[0])}"
-        apart = f"it is not among the others, {self._low:g} to {self._high:g}"
-        warn(
-            self.path,
-            f"{mark:g} stands for a missing reading in {listed} (first in {place}), since {apart}; "
-            "to keep it, make the recording in Python: anisomap.Recording(pandas.read_csv(path))",
+        listed = join_items(
+            [quote_if_needed(names[i]) for i in np.flatnonzero(places.any(axis=0))], 3
         )
+        frame = self._n_frames + int(np.argmax(places.any(axis=1)))
+        problem = f"{mark:g} stands for a missing reading in {listed} (first in frame {frame})"
+        apart = f"since the others are from {self._low:g} to {self._high:g}"
+        keep = "to keep it, make the recording in Python: anisomap.Recording(pandas.read_csv(path))"
+        warn(self.path, f"{problem}, {apart}; {keep}")
 
 
 @dataclasses.dataclass
