@@ -254,6 +254,9 @@ def test_numbers_for_missing_readings(put, mark: float, n_marks: int) -> None:
     path = put("run.csv", "".join(joined(row) + "\n" for row in slow.tolist()))
     if not n_marks:
         np.testing.assert_array_equal(read_alike(path).readings, slow)
+        at_rest = np.maximum(slow - np.median(slow), -1)  # of a board that clips there
+        path = put("rest.csv", "".join(joined(row) + "\n" for row in at_rest.tolist()))
+        np.testing.assert_array_equal(read_alike(path).readings, at_rest)
         return
     with pytest.warns(AnisomapWarning, match=r"missing reading in s0.* \(first in frame 1\)"):
         found = io.read(path)

@@ -84,7 +84,8 @@ _MIN_NUMBERED, _FRAMES = 3, {"", "frame", "frames", "sample", "index"}  # of sev
 _MIN_WRITTEN, _MOST_SAME = 20, 0.05  # rows; share of lines that were sent twice
 _MARKS = {*(float(s * (10**k - 1)) for k in (4, 5, 6) for s in (-1, 1)), -1.0, -99.0, -999.0}
 _MARKS |= {2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1, 2.0**32 - 1, -(2.0**15), -(2.0**31)}
-_MIN_SPAN, _MIN_FALLS = 8, 3
+_MIN_SPAN, _MIN_FALLS, _MOST_MISSING = 8, 3, 0.1
+_POINT = re.compile(r"[.,]\d")
 _RATE = re.compile(
     r"(?i)\b(fs|(?:sampl\w*|scan\w*|frame|acquisition|update)?[ _-]*(?:rate|freq\w*))\b\W*"
     r"(?:k?Hz|fps)?[\W]*(\d+(?:\.\d+)?)\s*(?:[\]\s,;]|k?hz|fps|$)"
@@ -378,7 +379,7 @@ def _without_unlike(table: Table, roles: Roles, rows: Sequence[Sequence[str]]) -
     left = [i for i in range(table.n_columns) if i not in roles.non_sensors]
     if len(rows) < _MIN_WRITTEN or len(left) <= _MIN_NUMBERED or table.block:
         return roles
-    written = {i: {any(map(row[i].__contains__, ".,")) for row in rows if row[i]} for i in left}
+    written = {i: {bool(_POINT.search(row[i])) for row in rows if row[i]} for i in left}
     for i in {left[0], left[-1]} & {*(odd_names(table.names) if table.names else left)}:
         others = {frozenset(written[k]) for k in left if k != i}
         if len(written[i]) == 1 and others == {frozenset({True, False} - written[i])}:
@@ -483,7 +484,8 @@ class _Present:
         found = readings
         for mark in marks:
             places = (readings == mark) & self._seen
-            if places.any() and self._stands_apart(mark, readings):
+            few = 0 < np.count_nonzero(places) < _MOST_MISSING * places.size
+            if few and self._stands_apart(mark, readings):
                 found = np.where(places, np.nan, found)
                 if mark not in self._said:
                     self._say(mark, places)
