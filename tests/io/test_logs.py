@@ -58,6 +58,7 @@ READ = {
     "BOM and empty columns": "\ufeff" + table(PRESSED, ";").replace("\n", ";;;\r\n"),
     "an empty first column": "," + table(PRESSED).replace("\n", "\n,").removesuffix(","),
     "a repeated header": table(PRESSED[:100]) + table(PRESSED[100:]),
+    "c0 and others every 50 lines": "".join(table(PRESSED[i : i + 50]) for i in range(0, T, 50)),
     "a restart": "Booting\n"
     + table(PRESSED[:9], names=None)
     + "Booting\n"

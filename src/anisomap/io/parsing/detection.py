@@ -458,7 +458,9 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
         widths, empty = set(map(len, rows)), empty_columns(rows)
         numeric = all(is_number(cell, delimiter) for row in rows for cell in row)
         n_columns = min(widths) - empty
-        if len(widths) == 1 and numeric and n_columns > 1:
+        named = (_split(line, delimiter) for lines in between for line in lines)
+        names = any({len(s)} == widths and not any(map(is_number, s)) for s in named)  # once more
+        if len(widths) == 1 and numeric and n_columns > 1 and not names:
             first = next(i for i, line in enumerate(sample) if not divides(line))
             cells = [[parse_number(c, delimiter) for c in row[:n_columns]] for row in rows]
             blocks = np.array(cells).reshape(len(whole), height, n_columns)

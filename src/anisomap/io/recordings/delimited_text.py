@@ -507,14 +507,12 @@ class _Present:
     def _say(self, mark: float, places: NDArray[np.bool_]) -> None:
         self._said = (*self._said, mark)
         names = self.names or default_names(places.shape[1])
-        listed = join_items(
-            [quote_if_needed(names[i]) for i in np.flatnonzero(places.any(axis=0))], 3
-        )
+        found = [quote_if_needed(names[i]) for i in np.flatnonzero(places.any(axis=0)).tolist()]
         frame = self._n_frames + int(np.argmax(places.any(axis=1)))
-        problem = f"{mark:g} stands for a missing reading in {listed} (first in frame {frame})"
+        listed = f"{join_items(found, 3)} (first in frame {frame})"
         apart = f"since the others are from {self._low:g} to {self._high:g}"
         keep = "to keep it, make the recording in Python: anisomap.Recording(pandas.read_csv(path))"
-        warn(self.path, f"{problem}, {apart}; {keep}")
+        warn(self.path, f"{mark:g} stands for a missing reading in {listed}, {apart}; {keep}")
 
 
 @dataclasses.dataclass
