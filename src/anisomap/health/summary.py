@@ -20,6 +20,7 @@ MIN_FRAMES = 500
 
 _CLEAR_R = 0.6  # median of the highest correlations that excludes chance; chosen by hand
 _N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
+_FEWER = 16  # of these, of which none would be with a probability of 2^-16
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
     "sensors that never varied (dead, or never touched)": (SILENT,),
@@ -125,9 +126,9 @@ def _unrelated(recording: Recording, health: Sequence[SensorHealth]) -> list[str
     readings = replace(recording, starts=()).complete("interpolate").readings[:, varying]
     some = some_sensors(best.size, _N_SHIFTED)
     share = 0.0
-    for half in (some[::2], some[1::2]):
-        share += np.count_nonzero(exceeded_by_chance(readings, half, best)) / some.size
-        if not share:  # nor can the other half be most of the sensors
+    for part in (some[:: max(1, some.size // _FEWER)], some):
+        share = np.count_nonzero(exceeded_by_chance(readings, part, best)) / part.size
+        if not share:
             return []
     if share <= 0.5:
         return []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -209,6 +210,7 @@ _N_TYPICAL, _N_PERMUTATIONS = 9, 199  # orders of blocks: of the typical agreeme
 # By which the loss exceeds that of all orders, since places are not touched in random order; and
 # the least one, of half a sensor.
 _MARGIN, _LEAST_LOSS = 1.25, 0.3
+_LEAST_PRODUCT = 1e-24  # of the squared sizes of two rows; bounds rounding errors
 
 
 def find_change(recording: Recording) -> Iterator[Found]:
@@ -237,25 +239,28 @@ def find_change(recording: Recording) -> Iterator[Found]:
         judged = np.flatnonzero(sums.min(axis=0) >= _MIN_CONTACTS)
         if judged.size < _MIN_SENSORS:
             continue
-        kept = np.append(judged, chosen.size)
-        # A copy takes longer than a correlation.
-        some = judged.size < chosen.size
-        blocks = np.ascontiguousarray(moments[:, kept][:, :, kept]) if some else moments
-        found = _agreement(blocks, np.arange(n_blocks) < division)
-        if np.count_nonzero(found < _MIN_KEPT) < 2:  # whatever is typical, which is 1 at most
+        agreements = partial(_agreements, moments, judged)
+        (found,) = agreements([np.arange(n_blocks) < division])
+        least = _LEAST_LOSS if best is None else max(_LEAST_LOSS, best[0] * judged.size)
+        if _loss(found, 1.0) < least:  # whatever is typical, which is 1 at most
             continue
         orders = [rng.permutation(n_blocks) < division for _ in range(_N_PERMUTATIONS)]
-        typical = _typical_agreement(blocks, orders[:_N_TYPICAL])
+        # The median of all is at most the greatest of more than half of them.
+        some = agreements(orders[: _N_TYPICAL // 2 + 1])
+        highest = some.max(axis=0)
+        if _loss(found, highest) < least or np.median(highest) < _MIN_REPEATED:
+            continue
+        others = agreements(orders[len(some) : _N_TYPICAL])
+        typical = np.median(np.concatenate([some, others]), axis=0)
         lost = judged[found < _LOST * typical]
         if lost.size < 2:  # no sensor has all others about it exchanged: another posture
             lost = judged[found < _MIN_KEPT * typical]
         loss = _loss(found, typical)
-        least = _LEAST_LOSS if best is None else max(_LEAST_LOSS, best[0] * judged.size)
         unclear = lost.size < 2 or loss < least or np.median(typical) < _MIN_REPEATED
-        if unclear or _ratio_of_reach(blocks, np.arange(n_blocks) < division) > _MAX_REACH:
+        if unclear or _ratio_of_reach(moments, judged, division) > _MAX_REACH:
             continue
         if all(
-            loss > _MARGIN * _loss(_agreement(blocks, one), typical) for one in orders[_N_TYPICAL:]
+            loss > _MARGIN * _loss(agreements([one])[0], typical) for one in orders[_N_TYPICAL:]
         ):
             best = loss / judged.size, division, lost
     if best is not None:
@@ -280,51 +285,42 @@ def _of_blocks(readings: NDArray[Any], n_blocks: int) -> tuple[Reals, NDArray[np
     return np.array(moments), np.array(contacts)
 
 
-def _agreement(blocks: Reals, earlier: NDArray[np.bool_]) -> Reals:
-    """Correlate the similarities of each sensor in some blocks and in the others, (n,)."""
-    before, after = (_own(one) for one in _parts(blocks, earlier))
-    return np.asarray(np.einsum("ij,ij->i", before, after))
+def _agreements(
+    blocks: Reals, sensors: NDArray[np.intp], orders: Sequence[NDArray[np.bool_]]
+) -> Reals:
+    """Correlate similarities of n sensors in some blocks and in the others, (orders, n)."""
+    found = []
+    shares = np.array(orders, blocks.dtype) @ blocks.reshape(len(blocks), -1)
+    total = blocks.sum(axis=0)
+    for earlier in shares.reshape(-1, *total.shape):
+        parts = [_correlation(one, sensors) for one in (earlier, total - earlier)]
+        sums = [one.sum(axis=1) for one in parts]
+        before, product, after = (
+            np.einsum("ij,ij->i", parts[i], parts[j]) - sums[i] * sums[j] / (sensors.size - 1)
+            for i, j in ((0, 0), (0, 1), (1, 1))
+        )
+        found.append(product / np.sqrt(np.maximum(before * after, _LEAST_PRODUCT)))
+    return np.array(found)[:, sensors]
 
 
-def _typical_agreement(blocks: Reals, orders: Sequence[NDArray[np.bool_]]) -> Reals:
-    """Return the median agreement over orders; over half of them if it is low in all of these."""
-    half = len(orders) // 2 + 1
-    some = [_agreement(blocks, one) for one in orders[:half]]
-    if np.median(np.max(some, axis=0)) >= _MIN_REPEATED:
-        some += [_agreement(blocks, one) for one in orders[half:]]
-    return np.asarray(np.median(some, axis=0))
-
-
-def _ratio_of_reach(blocks: Reals, earlier: NDArray[np.bool_]) -> float:
+def _ratio_of_reach(blocks: Reals, sensors: NDArray[np.intp], division: int) -> float:
     """Return the ratio of the numbers of sensors that one resembles in two parts."""
-    similar = [np.median((np.maximum(r, 0) ** 2).sum(axis=1)) for r in _parts(blocks, earlier)]
+    parts = (_correlation(one.sum(axis=0), sensors) for one in np.split(blocks, [division]))
+    similar = [np.median((np.maximum(r[sensors], 0) ** 2).sum(axis=1)) for r in parts]
     return float(max(similar) / max(min(similar), 1e-12))
 
 
-def _loss(agreement: Reals, typical: Reals) -> float:
+def _loss(agreement: Reals, typical: Reals | float) -> float:
     return float(np.maximum(_MIN_KEPT * typical - agreement, 0).sum())
 
 
-def _parts(blocks: Reals, earlier: NDArray[np.bool_]) -> list[Reals]:
-    """Correlate sensors in some blocks and in the others, (n, n); 0 with themselves."""
-    sums = np.tensordot(np.array([earlier, ~earlier], blocks.dtype), blocks, 1)
-    return [_correlation(part) for part in sums]
-
-
-def _correlation(moments: Reals) -> Reals:
-    """Correlate sensors, given sums of products; 0 with themselves."""
+def _correlation(moments: Reals, sensors: NDArray[np.intp]) -> Reals:
+    """Correlate some sensors, given sums of products; 0 with others and with themselves."""
     sums, count = moments[-1, :-1], moments[-1, -1]
     found = moments[:-1, :-1] - np.outer(sums, sums / count)
-    scale = 1 / np.sqrt(np.maximum(np.diag(found), 1e-9 * count))
+    scale = np.zeros_like(sums)
+    scale[sensors] = 1 / np.sqrt(np.maximum(np.diag(found)[sensors], 1e-9 * count))
     found *= scale[:, None]
     found *= scale
     np.fill_diagonal(found, 0)
-    return np.asarray(found)
-
-
-def _own(correlation: Reals) -> Reals:
-    """Centre and normalise the row of each sensor, (n, n)."""
-    found = correlation - correlation.sum(axis=1, keepdims=True) / (len(correlation) - 1)
-    np.fill_diagonal(found, 0)
-    found /= np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12)
     return np.asarray(found)
