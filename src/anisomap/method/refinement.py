@@ -37,6 +37,7 @@ _PATHS_UNEXPLAINED = 0.05
 """Unexplained share that is due to errors of path lengths, by noise and bends; .02 to .1 result in
 similar maps (``python -m benchmarks.accuracy.steps``)."""
 
+_LEAST_SHARE = 0.015  # unexplained by a map of a resample, in which paths weigh at most .19 if less
 _METRIC_SHARE, _LARGE = 2.5e-4, 500
 """Weight of the metric per sensor, times the variance of its ratios, and the number of sensors from
 which the weight grows with its square: residuals are then not whitened, and count as independent.
@@ -100,7 +101,7 @@ def refine(
     found = fit(first.positions, lengths, least_prior=prior_weight, near=first)
     logger.debug("covariogram with exponent %.2f, %d steps", found.exponent, found.iterations)
     share = evidence.unexplained(found.positions)
-    if share <= 0:
+    if share <= (0 if near is None else _LEAST_SHARE):
         return Refinement(found.positions, found, share, 0.0)
     if near is None:
         seconds = _AFTER_FITS * (monotonic() - begun)

@@ -135,6 +135,15 @@ class Pairs:
         parts = np.einsum("ij,ij->i", _rows(first), _rows(second))
         return 2 * float(parts.sum(dtype=np.float64))
 
+    @staticmethod
+    def centred(values: Reals, n_sensors: int) -> Reals:
+        """Return the pairs of C A C, for A given by its pairs and ``C = I - 11'/n``."""
+        matrix = squareform(values)
+        means = matrix.mean(axis=1)
+        matrix -= means[:, None]
+        matrix -= means - means.mean()
+        return np.asarray(squareform(matrix, checks=False))
+
 
 class CompiledPairs(Pairs):
     """Pairs in float32, whose functions are compiled: faster by half for 1,000 sensors."""
@@ -170,6 +179,17 @@ class CompiledPairs(Pairs):
         gradient = np.zeros(points.shape[::-1])
         load_loops("covariogram").pull(force, np.ascontiguousarray(points.T), gradient)
         return gradient.T
+
+    def product(self, first: Reals, second: Reals) -> float:
+        """See `Pairs.product`."""
+        return 2 * float(load_loops("covariogram").product(first, second))
+
+    @staticmethod
+    def centred(values: Reals, n_sensors: int) -> Reals:
+        """See `Pairs.centred`."""
+        found = np.empty_like(values)
+        load_loops("covariogram").centre(values, n_sensors, found)
+        return found
 
 
 def _sum(values: Reals) -> float:
@@ -285,21 +305,21 @@ class Objective:
         self._repulsion = problem.noise * problem.options.repulsion
         similarity = np.where(problem.known, problem.similarity, 0.0).astype(np.float64)
         self._scale = _NOT_WHITENED / (1 + problem.options.ridge)
-        self._by_scale = min(1.0, (_MAX_SCALED / len(similarity)) ** 2)
+        self._n_sensors = len(similarity)
+        self._by_scale = min(1.0, (_MAX_SCALED / self._n_sensors) ** 2)
         self._weights: Reals | None = None
-        if len(similarity) <= problem.options.max_whitened:
+        if self._n_sensors <= problem.options.max_whitened:
             # Inverted in float64; all other matrices take half the time in float32.
             weights = _whitening(similarity, problem.options.ridge)
             self._weights = weights.astype(problem.precision)
-        similarity = similarity.astype(problem.precision)
-        offset = problem.known.astype(problem.precision)
+        known, similarity = (
+            squareform(one.astype(problem.precision), checks=False)
+            for one in (problem.known, similarity)
+        )
         inverse_metric = 1 / squareform(problem.metric, checks=False).astype(np.float64)
-        kind = CompiledPairs if uses_loops(len(similarity)) else Pairs
-        self._pairs = pairs = kind(
-            known=squareform(offset, checks=False),
-            similarity=squareform(similarity, checks=False),
-            whitened_known=self._whitened(offset),
-            whitened_similarity=self._whitened(similarity),
+        self._kind = CompiledPairs if uses_loops(self._n_sensors) else Pairs
+        self._pairs = pairs = self._kind(
+            *(known, similarity, self._whitened(known), self._whitened(similarity)),
             inverse_metric=inverse_metric.astype(problem.precision),
         )
         self._fixed_products = (
@@ -318,7 +338,7 @@ class Objective:
                 return terms
         pairs = self._pairs
         decayed = pairs.decay(positions, log_exponent)
-        whitened = self._whitened(squareform(decayed.shape))
+        whitened = self._whitened(decayed.shape)
         others = (whitened, pairs.whitened_known, pairs.whitened_similarity)
         products = [pairs.product(decayed.shape, other) for other in others]
         terms = Terms(np.array([*products, *self._fixed_products]), decayed, whitened)
@@ -373,7 +393,7 @@ class Objective:
                 rows, columns = (slice(i * n_sensors, (i + 1) * n_sensors) for i in (p, q))
                 matrix[rows, columns] = found
         linear_terms = (decayed.shape, pairs.known, steep * decayed.logarithms)
-        by_exponent = self._whitened(squareform(linear_terms[2]))
+        by_exponent = self._whitened(linear_terms[2])
         whitened = (terms.whitened_shape, pairs.whitened_known, by_exponent)
         cross = [[2 * (d * w).sum(axis=1) for d in derivatives] for w in map(squareform, whitened)]
         flat = np.array(cross, dtype=np.float64).reshape(3, positions.size)
@@ -406,15 +426,14 @@ class Objective:
         found *= 2
         return np.asarray(found)
 
-    def _whitened(self, matrix: Reals) -> Reals:
-        """Return the pairs of W A W, which is symmetric as A is."""
-        weights, n_sensors = self._weights, len(matrix)
+    def _whitened(self, values: Reals) -> Reals:
+        """Return the pairs of W A W, which is symmetric as A is, for A given by its pairs."""
+        weights, n_sensors = self._weights, self._n_sensors
         if weights is None:
-            means = matrix.mean(axis=1)
-            centred = matrix - means[:, None]
-            centred -= means - means.mean()
+            centred = self._kind.centred(values, n_sensors)
             centred *= self._scale**2
-            return np.asarray(squareform(centred, checks=False))
+            return centred
+        matrix = squareform(values)
         product, whitened = weights @ matrix, np.empty_like(weights)
         # Only rows of products that reach above the diagonal are computed.
         for first, last in pairwise([*range(0, n_sensors, _ROWS), n_sensors]):
