@@ -43,7 +43,7 @@ STATUSES = (
 _MAX_COMPARED = 4096  # sensors with which others are compared after shifts
 _N_SHIFTS = 19  # circular shifts that a related sensor exceeds
 _FRAMES_AT_ONCE = 256  # whose differences stay in the cache
-_ROWS_AT_ONCE = 64  # of a product; a single row would take as long
+_ROWS_AT_ONCE = 4  # that are shifted; a product of their shifts stays in the cache
 _HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
 _MIN_AT_EXTREME = 10  # frames, of a sensor that saturates
 _LEAST_R = 1e-3
@@ -193,11 +193,13 @@ def exceeded_by_chance(
     standard = unit_rows(readings[:, others])
     for start in range(0, sensors.size, _ROWS_AT_ONCE):
         part = sensors[start : start + _ROWS_AT_ONCE]
-        mine, itself = unit_rows(readings[:, part]), part[:, None] == others
-        for step in range(1, _N_SHIFTS + 1):
-            correlation = np.roll(mine, step * n_frames // (_N_SHIFTS + 1), axis=1) @ standard.T
-            correlation[itself] = -1
-            found[start : start + part.size] |= correlation.max(axis=1) >= best[part]
+        mine = unit_rows(readings[:, part])
+        shifts = [step * n_frames // (_N_SHIFTS + 1) for step in range(1, _N_SHIFTS + 1)]
+        correlation = np.concatenate([np.roll(mine, n, axis=1) for n in shifts]) @ standard.T
+        correlation = correlation.reshape(_N_SHIFTS, part.size, -1)
+        correlation[:, part[:, None] == others] = -1
+        exceeded = correlation.max(axis=2) >= best[part]
+        found[start : start + part.size] = exceeded.any(axis=0)
     return found
 
 
@@ -317,7 +319,7 @@ def _best_match(signals: Signals) -> NDArray[np.float64]:
     n_sensors = signals.readings.shape[1]
     if n_sensors > MAX_PAIRED:
         return most_similar(unit_rows(signals.readings), 1)[1][:, 0].astype(np.float64)
-    others = np.where(np.eye(n_sensors, dtype=bool), -np.inf, signals.pearson)
+    others = np.where(np.eye(n_sensors, dtype=bool), -np.inf, signals.pearson[0])
     best = others.max(axis=1)
     return np.where(np.isneginf(best), np.nan, best)
 

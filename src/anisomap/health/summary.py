@@ -20,7 +20,7 @@ MIN_FRAMES = 500
 
 _CLEAR_R = 0.6  # median of the highest correlations that excludes chance; chosen by hand
 _N_SHIFTED = 64  # sensors that tell whether most are correlated by chance alone
-_FEWER = 16  # of these, of which none would be with a probability of 2^-16
+_FEWER, _FEW = 16, 1 / 8  # of these, and the share that is correlated so with probability .002
 _FAULTY = tuple(status for status in STATUSES if is_faulty(status) and status != "stuck")
 _MEANINGS: dict[str, tuple[str, ...]] = {
     "sensors that never varied (dead, or never touched)": (SILENT,),
@@ -125,13 +125,10 @@ def _unrelated(recording: Recording, health: Sequence[SensorHealth]) -> list[str
         return []
     readings = replace(recording, starts=()).complete("interpolate").readings[:, varying]
     some = some_sensors(best.size, _N_SHIFTED)
-    share = 0.0
-    for part in (some[:: max(1, some.size // _FEWER)], some):
+    for part, most in ((some[:: max(1, some.size // _FEWER)], _FEW), (some, 0.5)):
         share = np.count_nonzero(exceeded_by_chance(readings, part, best)) / part.size
-        if not share:
+        if share <= most:
             return []
-    if share <= 0.5:
-        return []
     return [
         f"do not trust a map of this recording: {share:.0%} of the sensors have no significant "
         f"correlation with another; record {'more contacts' if recording.touched else 'longer'}"

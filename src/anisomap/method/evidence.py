@@ -46,7 +46,7 @@ from anisomap.numerics.similarity.correlation import (
     without_common_signal,
 )
 from anisomap.numerics.similarity.information import mutual_information
-from anisomap.numerics.similarity.rest import Rest, estimate_rest, ranks_of_depths
+from anisomap.numerics.similarity.rest import estimate_rest, ranks_of_depths
 from anisomap.recording import Recording
 
 logger = logging.getLogger(__name__)
@@ -63,16 +63,16 @@ class Similarity:
     """A pairwise statistic.
 
     compute: ``compute(readings, bins)`` returns the similarity of all pairs, shape (n, n).
-    score: ``score(readings, rest, centred)`` returns the scores that it follows from; rest may be
-        None. Without them, its variance is that of correlations of what `correlated` makes of the
-        readings, by default themselves.
+    score: ``score(readings, signals, centred)`` returns the scores that it follows from; the
+        signals of the readings may be None. Without scores, its variance is that of correlations of
+        what `correlated` makes of the readings, by default themselves.
     of_signals: ``of_signals(signals)`` returns what `compute` would, if other analyses need it.
     centred: Whether the signal that all sensors share is subtracted first.
     """
 
     summary: str
     compute: Callable[[ArrayLike, int], Reals]
-    score: Callable[[NDArray[Any], Rest | None, bool], Scores] | None = None
+    score: Callable[[NDArray[Any], Signals | None, bool], Scores] | None = None
     correlated: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
     of_signals: Callable[[Signals], Reals] | None = None
     centred: bool = False
@@ -83,7 +83,7 @@ SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
         "pearson": Similarity(
             "linear correlation",
             lambda x, _: pearson(x),
-            of_signals=lambda signals: signals.pearson,
+            of_signals=lambda signals: signals.pearson[0],
         ),
         "spearman": Similarity("rank correlation", lambda x, _: spearman(x), correlated=ranked),
         "co-activation": Similarity(
@@ -293,8 +293,7 @@ def _compared(
     if how.score is None:
         found, variance = how.compute(values, bins), sampling_variance(how.correlated(values))
     else:
-        rest = signals.rest if signals is not None and unchanged else None
-        scores = how.score(values, rest, share > 0)
+        scores = how.score(values, signals if unchanged else None, share > 0)
         found = scores.similarity
         if isinstance(scores, Blend):
             variance = scores.variance

@@ -37,7 +37,7 @@ _PATHS_UNEXPLAINED = 0.05
 """Unexplained share that is due to errors of path lengths, by noise and bends; .02 to .1 result in
 similar maps (``python -m benchmarks.accuracy.steps``)."""
 
-_LEAST_SHARE = 0.015  # unexplained by a map of a resample, in which paths weigh at most .19 if less
+_LEAST_SHARE = 0.02  # unexplained by a map of a resample, in which paths weigh at most .22 if less
 _METRIC_SHARE, _LARGE = 2.5e-4, 500
 """Weight of the metric per sensor, times the variance of its ratios, and the number of sensors from
 which the weight grows with its square: residuals are then not whitened, and count as independent.

@@ -97,13 +97,13 @@ class Signals:
         return touched
 
     @property
-    def pearson(self) -> Reals:
-        """Pearson's r of every pair of sensors, (N, N); kept if it takes 32 MiB at most."""
+    def pearson(self) -> tuple[Reals, float]:
+        """Pearson's r of every pair of sensors, (N, N), and its reliability; kept up to 32 MiB."""
         few = self.readings.shape[1] <= MAX_PAIRED
         return self._pearson_of_few if few else _pearson(self.readings)
 
     @cached_property
-    def _pearson_of_few(self) -> Reals:
+    def _pearson_of_few(self) -> tuple[Reals, float]:
         return _pearson(self.readings)
 
     @cached_property
@@ -135,13 +135,15 @@ class Signals:
         return chosen, np.abs(rfft(rows, axis=1).T) ** 2
 
 
-def _pearson(readings: NDArray[Any]) -> Reals:
+def _pearson(readings: NDArray[Any]) -> tuple[Reals, float]:
     # As of `spectra`: importing it takes time.
-    from anisomap.numerics.similarity.correlation import pearson  # noqa: PLC0415
+    from anisomap.numerics.similarity.correlation import (  # noqa: PLC0415
+        correlation_and_reliability,
+    )
 
-    found = pearson(readings)
+    found, reliability = correlation_and_reliability(readings)
     found.setflags(write=False)
-    return found
+    return found, reliability
 
 
 def squares_and_lagged(

@@ -22,7 +22,7 @@ from anisomap.method.named import Method, MethodOptions
 from anisomap.method.pipeline import Stages
 from anisomap.method.refinement import Refinement
 from anisomap.numerics.procrustes import fit_similarity
-from anisomap.numerics.reliability.sampling_noise import N_BLOCKS
+from anisomap.numerics.similarity.correlation import N_BLOCKS
 
 MIN_SENSORS = 12
 """Minimum number of sensors: maps of fewer agree too often by chance."""

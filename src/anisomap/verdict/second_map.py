@@ -177,9 +177,11 @@ def agreement_of_halves(evidence: Evidence, rng: np.random.Generator) -> float:
 
 def _energies(readings: NDArray[np.generic], edges: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the energy of each block of frames, (B,). readings (T, n), edges (B + 1,)."""
-    squares = np.square(centred_rows(readings).astype(np.float64))
-    squares /= np.maximum(squares.sum(axis=1, keepdims=True), np.finfo(float).tiny)
-    return np.asarray(np.add.reduceat(squares.sum(axis=0), edges[:-1]))
+    squares = np.square(centred_rows(readings))
+    sums = np.add.reduceat(squares, edges[:-1], axis=1, dtype=np.float64)
+    return np.asarray(
+        (sums / np.maximum(sums.sum(axis=1), np.finfo(float).tiny)[:, None]).sum(axis=0)
+    )
 
 
 def _equal_halves(energies: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:

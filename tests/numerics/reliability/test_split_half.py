@@ -6,12 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anisomap.errors import InputError
-from anisomap.numerics.reliability.sampling_noise import (
-    blended_correlation,
+from anisomap.numerics.reliability.sampling_noise import blended_correlation
+from anisomap.numerics.similarity.correlation import (
     correlation_and_reliability,
+    pearson,
+    spearman,
     split_blocks,
 )
-from anisomap.numerics.similarity.correlation import pearson, spearman
 from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin
 

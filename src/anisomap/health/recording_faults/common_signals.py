@@ -74,7 +74,7 @@ def find_hum(recording: Recording) -> Iterator[Found]:
     if free.size < max(_MIN_GROUP, _MIN_SENSORS * n_sensors) or n_frames < 8 * _BESIDE:
         return
     sensors, spectra = recording.signals.spectra
-    power = np.median(spectra[:, np.isin(sensors, free)], axis=1)
+    power = medians(spectra[:, np.isin(sensors, free)].T)
     # The power of slow changes falls steeply: it is above that on one side of it, without a line.
     beside = medians(np.lib.stride_tricks.sliding_window_view(power, _BESIDE).T)
     apart = _BESIDE + 2 * _GAP - 1

@@ -36,9 +36,10 @@ _DISPLACEMENT = 1e-3
 
 _MAX_CURVATURE = 6001  # coordinates from which factorising the curvature takes longer than it saves
 _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
-# Iterations with one curvature. With 30 or 40, a retina and Nao's torso took two thirds of the
-# time that they took with 20, and flat skins as long.
-_ROUND = 40
+# Iterations with one curvature, and coordinates from which there are more: a curvature takes cubic
+# time. With 30 or 40, a retina and Nao's torso took two thirds of the time that they took with 20,
+# and flat skins as long; with 80, a sphere of 2,000 took four fifths.
+_ROUND, _LONGER = 40, 3000
 _DAMPING = 1e-2  # of the diagonal, for directions without curvature; .001 to .03 took equal time
 _LEAST_DAMPING = 1e-6  # of the mean of the diagonal
 _SINGLE = 1000  # coordinates from which the curvature is factorised in float32, for speed
@@ -183,15 +184,15 @@ def minimise(
 
     L-BFGS follows long waves of a map, which hardly change the objective, in hundreds of
     iterations. Here it searches over y with ``x = x_0 + U^-1 y``, where U'U is the damped
-    Gauss-Newton matrix at x_0, which is computed again every 40 iterations. The curvature by y is
-    nearly the identity.
+    Gauss-Newton matrix at x_0, which is computed again every 40 iterations, or 80. The curvature by
+    y is nearly the identity.
     """
     factor, exponent = (np.ones((1, 1)), 1.0) if near is None else (near.factor, near.exponent)
     found = Minimum(start, float(np.log(exponent)), np.inf, 0, converged=False, factor=factor)
     while not found.converged and found.iterations < max_iterations:
         steps = max_iterations - found.iterations
         if start.size < _MAX_CURVATURE:
-            steps = min(_ROUND, steps)
+            steps = min(_ROUND * max(1, start.size // _LONGER), steps)
             if near is None or found.iterations:
                 dtype = np.float32 if start.size >= _SINGLE else np.float64
                 factor = _factor(

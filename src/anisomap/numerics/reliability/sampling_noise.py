@@ -21,8 +21,13 @@ from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.neighbours import labels_by_size, linked_labels, tree_edges
 from anisomap.numerics.precision import Floats, Reals, float_type, row_blocks
-from anisomap.numerics.similarity.correlation import PairSums, pearson, resampled_correlation
-from anisomap.numerics.similarity.rest import Rest, ranks_of_depths
+from anisomap.numerics.signals import Signals
+from anisomap.numerics.similarity.correlation import (
+    N_BLOCKS,
+    correlation_and_reliability,
+    resampled_correlation,
+)
+from anisomap.numerics.similarity.rest import ranks_of_depths
 
 _MAX_LAG_SHARE = 4  # maximum lag T / 4: longer lags average too few products
 _MAX_LAG = 4096  # frames; longer than a contact
@@ -354,44 +359,6 @@ def outlying(levels: Floats, variance: ArrayLike = 0.0) -> NDArray[np.bool_]:
     return np.asarray(ndtr(-beyond / deviation) < min(_LEAST_P, FALSE_ALARMS / len(levels)))
 
 
-N_BLOCKS = 20
-"""Number of blocks of consecutive frames that form the two halves; chosen by hand."""
-
-_MIN_SPLIT_FRAMES = 4  # for a reliability: 2 per half
-_MIN_SPLIT_SENSORS = 3  # for a reliability: a correlation over 3 pairs
-
-
-def split_blocks(
-    values: NDArray[Any], n_blocks: int = N_BLOCKS
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Split frames, (T, ...), into two halves of alternating blocks: contacts last for several."""
-    if len(values) < 2:
-        raise InputError(f"split-half needs at least 2 frames, got {len(values)}")
-    blocks = np.array_split(values, min(n_blocks, len(values)))
-    return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
-
-
-def correlation_and_reliability(
-    readings: ArrayLike, n_blocks: int = N_BLOCKS
-) -> tuple[Reals, float]:
-    """Compute Pearson's r, and its correlation between the two halves, over pairs of sensors.
-
-    readings (T, N) -> (N, N), reliability in [-1, 1].
-    """
-    values = np.asarray(readings)
-    n_frames, n_sensors = values.shape
-    if n_frames < _MIN_SPLIT_FRAMES:
-        return pearson(values), 0.0
-    # Merging the halves takes a tenth of the time of multiplying all frames again.
-    first, second = map(PairSums.of, split_blocks(values, n_blocks))
-    whole, step = first.merged(second).correlation(), -(-n_sensors // _MAX_SENSORS)
-    if len(whole[::step]) < _MIN_SPLIT_SENSORS:
-        return whole, 0.0
-    halves = (one.correlation()[::step, ::step] for one in (first, second))
-    pairs = [squareform(one, checks=False) for one in halves]
-    return whole, float(pearson(np.stack(pairs, axis=1))[0, 1])
-
-
 _MIN_REPEATED = 0.5  # correlation of the correlations of two halves; chosen by hand
 _GAIN = 0.25  # minimum gain of innovations, above chance in short recordings; chosen by hand
 
@@ -454,19 +421,21 @@ class Blend:
     ranks: Reals
 
     @classmethod
-    def of(cls, readings: ArrayLike, rest: Rest | None = None, centred: bool = False) -> Blend:
-        """Blend the correlations of readings, (T, N), whose rest may be known.
+    def of(
+        cls, readings: ArrayLike, signals: Signals | None = None, centred: bool = False
+    ) -> Blend:
+        """Blend the correlations of readings, (T, N), whose signals may be known.
 
         centred: Whether a common signal was subtracted, after which sensors do not rest alike.
         """
         values = np.asarray(readings)
-        ranks = ranks_of_depths(values, rest, single=True, alike=not centred)
-        (blended, p), (rho, q) = map(correlation_and_reliability, (values, ranks))
+        signals = Signals(values) if signals is None else signals
+        ranks = ranks_of_depths(values, signals.rest, single=True, alike=not centred)
+        (r, p), (rho, q) = signals.pearson, correlation_and_reliability(ranks)
         p, q = max(p, 0.0), max(q, 0.0)
         ratio = 1.0 if q >= p else q / p
         weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
-        blended *= weight
-        blended += (1 - weight) * rho
+        blended = weight * r + (1 - weight) * rho
         np.fill_diagonal(blended, 1.0)
         return cls(blended, rho, weight, values, ranks)
 

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import squareform
 
+from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.precision import Floats, Reals, float_type, slices_of, symmetric_from_upper
 from anisomap.numerics.similarity.rest import estimate_rest
@@ -99,6 +101,45 @@ def co_activation(readings: ArrayLike) -> Reals:
     definition of rest.
     """
     return pearson(estimate_rest(readings).active(readings).astype(np.float64))
+
+
+N_BLOCKS = 20
+"""Number of blocks of consecutive frames that form the two halves; chosen by hand."""
+
+_MIN_SPLIT_FRAMES = 4  # for a reliability: 2 per half
+_MIN_SPLIT_SENSORS = 3  # for a reliability: a correlation over 3 pairs
+_MAX_PAIRED = 4000  # sampled sensors; their 8 million pairs determine a reliability
+
+
+def split_blocks(
+    values: NDArray[Any], n_blocks: int = N_BLOCKS
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Split frames, (T, ...), into two halves of alternating blocks: contacts last for several."""
+    if len(values) < 2:
+        raise InputError(f"split-half needs at least 2 frames, got {len(values)}")
+    blocks = np.array_split(values, min(n_blocks, len(values)))
+    return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
+
+
+def correlation_and_reliability(
+    readings: ArrayLike, n_blocks: int = N_BLOCKS
+) -> tuple[Reals, float]:
+    """Compute Pearson's r, and its correlation between the two halves, over pairs of sensors.
+
+    readings (T, N) -> (N, N), reliability in [-1, 1].
+    """
+    values = np.asarray(readings)
+    n_frames, n_sensors = values.shape
+    if n_frames < _MIN_SPLIT_FRAMES:
+        return pearson(values), 0.0
+    # Merging the halves takes a tenth of the time of multiplying all frames again.
+    first, second = map(PairSums.of, split_blocks(values, n_blocks))
+    whole, step = first.merged(second).correlation(), -(-n_sensors // _MAX_PAIRED)
+    if len(whole[::step]) < _MIN_SPLIT_SENSORS:
+        return whole, 0.0
+    halves = (one.correlation()[::step, ::step] for one in (first, second))
+    pairs = [squareform(one, checks=False) for one in halves]
+    return whole, float(pearson(np.stack(pairs, axis=1))[0, 1])
 
 
 _STACKED_BYTES = 1 << 24  # of products of all blocks for some sensors; chosen by hand
