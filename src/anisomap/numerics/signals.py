@@ -137,11 +137,9 @@ class Signals:
 
 def _pearson(readings: NDArray[Any]) -> tuple[Reals, float]:
     # As of `spectra`: importing it takes time.
-    from anisomap.numerics.similarity.correlation import (  # noqa: PLC0415
-        correlation_and_reliability,
-    )
+    from anisomap.numerics.similarity import correlation  # noqa: PLC0415
 
-    found, reliability = correlation_and_reliability(readings)
+    found, reliability = correlation.correlation_and_reliability(readings)
     found.setflags(write=False)
     return found, reliability
 

@@ -46,9 +46,8 @@ from anisomap.verdict.judge import Measurements, expected_error, judge
 from anisomap.verdict.second_map import (
     agreement_of_halves,
     differences_from_second_map,
-    is_crowded,
-    is_uneven,
     sensors_pair_off,
+    spacing_varies,
 )
 
 _SAME = 1e-6  # of the extent; rounding errors of a map that was scaled or turned are far below
@@ -220,7 +219,7 @@ def examine(
             deviations = deviations_by_chance(
                 part, positions, recipe, options, rng=generator, progress=told
             )
-            uneven = is_uneven(positions)
+            uneven, crowded = spacing_varies(positions)
             differences = differences_from_second_map(part.evidence, positions, uneven=uneven)
         chance = covariances(deviations, positions)
         repeatability = error_in_spacings(chance, positions)
@@ -236,7 +235,7 @@ def examine(
                 metric=by_metric,
                 regional=regional_difference(differences, positions),
                 uneven=uneven,
-                crowded=is_crowded(positions),
+                crowded=crowded and measured.spatial,
                 extent=extent_in_spacings(positions),
                 paired=sensors_pair_off(part.evidence.similarity),
                 agreement=agreement_of_halves(part.evidence, generator),

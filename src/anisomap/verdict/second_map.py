@@ -18,7 +18,6 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from anisomap.evaluation.scoring import median_spacing
-from anisomap.method.dimensions import SPATIAL
 from anisomap.method.evidence import Evidence
 from anisomap.numerics.columns import centred_rows
 from anisomap.numerics.graph.dissimilarity import partial_correlation
@@ -98,12 +97,6 @@ spaced sensors: .03 to .35 on 57 good maps of lattices and farthest-point sample
 """
 
 
-def is_uneven(positions: NDArray[np.float64]) -> bool:
-    """Return whether sensors are not evenly spaced on a map. positions (n, k)."""
-    nearest = np.asarray(KDTree(positions).query(positions, k=2)[0])[:, 1]
-    return bool(nearest.std() > MAX_VARIATION * nearest.mean())
-
-
 MAX_CROWDING, CROWD_RADIUS = 0.4, 1.7
 """Standard deviation of the numbers of sensors within a radius, in spacings, over their mean, on a
 map in 3 dimensions, whose borders are short: at most .37 on 112 good maps of evenly spaced sensors,
@@ -111,13 +104,14 @@ beyond it on 18 of 25 wrong ones with low expected errors (seeds 63001 to 63200,
 """
 
 
-def is_crowded(positions: NDArray[np.float64]) -> bool:
-    """Return whether some places of a map in 3 dimensions are more crowded than others. (n, k)."""
-    if positions.shape[1] != SPATIAL:
-        return False
-    radius = CROWD_RADIUS * median_spacing(positions)
-    near = KDTree(positions).query_ball_point(positions, radius, return_length=True) - 1
-    return bool(near.std() > MAX_CROWDING * near.mean())
+def spacing_varies(positions: NDArray[np.float64]) -> tuple[bool, bool]:
+    """Return whether a map, (n, k), is unevenly spaced, and more crowded in some places."""
+    tree = KDTree(positions)
+    nearest = np.asarray(tree.query(positions, k=2)[0])[:, 1]
+    radius = CROWD_RADIUS * float(np.median(nearest))
+    near = tree.query_ball_point(positions, radius, return_length=True) - 1
+    uneven = nearest.std() > MAX_VARIATION * nearest.mean()
+    return bool(uneven), bool(near.std() > MAX_CROWDING * near.mean())
 
 
 def differences_from_second_map(

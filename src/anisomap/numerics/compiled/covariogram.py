@@ -174,38 +174,21 @@ def pull(force: Singles, points: Reals, pulled: Reals) -> None:
 
 
 @loop(fastmath=REORDERED, error_model="numpy")
-def product(first: Singles, second: Singles) -> float:
-    """Sum the products of two arrays."""
-    total = 0.0
-    for start in range(0, len(first), WIDTH):
-        one, other = first[start : start + WIDTH], second[start : start + WIDTH]
-        part = np.float32(0)
-        for p in range(len(one)):
-            part += one[p] * other[p]
-        total += float(part)
-    return total
-
-
-@loop(fastmath=REORDERED, error_model="numpy")
-def centre(values: Singles, n_points: int, centred: Singles) -> None:
-    """Subtract the means of rows and of columns from a symmetric matrix, given by its pairs."""
-    means = np.zeros(n_points, np.float32)
-    first = 0
+def centre(values: Singles, n_points: int, factor: float, centred: Singles) -> None:
+    """Write a symmetric matrix, less the means of rows and of columns, times a factor; by pairs."""
+    means, first, scale = np.zeros(n_points, np.float32), 0, np.float32(factor)
     for i in range(n_points - 1):
-        row, others = values[first : first + n_points - 1 - i], means[i + 1 :]
-        own = np.float32(0)
+        row, others, own = values[first : first + n_points - 1 - i], means[i + 1 :], np.float32(0)
         for j in range(len(row)):
             own += row[j]
             others[j] += row[j]
         means[i] += own
         first += len(row)
     means /= np.float32(n_points)
-    mean = means.mean()
+    means -= means.mean() / np.float32(2)
     first = 0
     for i in range(n_points - 1):
-        row, others = values[first : first + n_points - 1 - i], means[i + 1 :]
-        found = centred[first : first + n_points - 1 - i]
-        mine = np.float32(means[i] - mean)
-        for j in range(len(row)):
-            found[j] = row[j] - mine - others[j]
-        first += len(row)
+        row, others, found = values[first:], means[i + 1 :], centred[first:]
+        for j in range(len(others)):
+            found[j] = scale * (row[j] - means[i] - others[j])
+        first += len(others)

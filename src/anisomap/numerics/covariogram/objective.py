@@ -135,15 +135,6 @@ class Pairs:
         parts = np.einsum("ij,ij->i", _rows(first), _rows(second))
         return 2 * float(parts.sum(dtype=np.float64))
 
-    @staticmethod
-    def centred(values: Reals, n_sensors: int) -> Reals:
-        """Return the pairs of C A C, for A given by its pairs and ``C = I - 11'/n``."""
-        matrix = squareform(values)
-        means = matrix.mean(axis=1)
-        matrix -= means[:, None]
-        matrix -= means - means.mean()
-        return np.asarray(squareform(matrix, checks=False))
-
 
 class CompiledPairs(Pairs):
     """Pairs in float32, whose functions are compiled: faster by half for 1,000 sensors."""
@@ -179,17 +170,6 @@ class CompiledPairs(Pairs):
         gradient = np.zeros(points.shape[::-1])
         load_loops("covariogram").pull(force, np.ascontiguousarray(points.T), gradient)
         return gradient.T
-
-    def product(self, first: Reals, second: Reals) -> float:
-        """See `Pairs.product`."""
-        return 2 * float(load_loops("covariogram").product(first, second))
-
-    @staticmethod
-    def centred(values: Reals, n_sensors: int) -> Reals:
-        """See `Pairs.centred`."""
-        found = np.empty_like(values)
-        load_loops("covariogram").centre(values, n_sensors, found)
-        return found
 
 
 def _sum(values: Reals) -> float:
@@ -306,19 +286,22 @@ class Objective:
         similarity = np.where(problem.known, problem.similarity, 0.0).astype(np.float64)
         self._scale = _NOT_WHITENED / (1 + problem.options.ridge)
         self._n_sensors = len(similarity)
+        loops = uses_loops(self._n_sensors)
         self._by_scale = min(1.0, (_MAX_SCALED / self._n_sensors) ** 2)
         self._weights: Reals | None = None
         if self._n_sensors <= problem.options.max_whitened:
             # Inverted in float64; all other matrices take half the time in float32.
             weights = _whitening(similarity, problem.options.ridge)
             self._weights = weights.astype(problem.precision)
+        elif not loops:
+            centring = np.eye(self._n_sensors) - 1 / self._n_sensors
+            self._weights = (self._scale * centring).astype(problem.precision)
         known, similarity = (
             squareform(one.astype(problem.precision), checks=False)
             for one in (problem.known, similarity)
         )
         inverse_metric = 1 / squareform(problem.metric, checks=False).astype(np.float64)
-        self._kind = CompiledPairs if uses_loops(self._n_sensors) else Pairs
-        self._pairs = pairs = self._kind(
+        self._pairs = pairs = (CompiledPairs if loops else Pairs)(
             *(known, similarity, self._whitened(known), self._whitened(similarity)),
             inverse_metric=inverse_metric.astype(problem.precision),
         )
@@ -430,8 +413,8 @@ class Objective:
         """Return the pairs of W A W, which is symmetric as A is, for A given by its pairs."""
         weights, n_sensors = self._weights, self._n_sensors
         if weights is None:
-            centred = self._kind.centred(values, n_sensors)
-            centred *= self._scale**2
+            centred = np.empty_like(values)
+            load_loops("covariogram").centre(values, n_sensors, self._scale**2, centred)
             return centred
         matrix = squareform(values)
         product, whitened = weights @ matrix, np.empty_like(weights)
