@@ -37,7 +37,7 @@ from anisomap.numerics.reliability.sampling_noise import (
     typical_variance,
     without_slow_changes,
 )
-from anisomap.numerics.signals import Signals, unit_rows
+from anisomap.numerics.signals import MAX_PAIRED, Signals, unit_rows
 from anisomap.numerics.similarity.contact_agreement import Contacts, contact_agreement
 from anisomap.numerics.similarity.correlation import (
     co_activation,
@@ -66,7 +66,6 @@ class Similarity:
     score: ``score(readings, signals, centred)`` returns the scores that it follows from; the
         signals of the readings may be None. Without scores, its variance is that of correlations of
         what `correlated` makes of the readings, by default themselves.
-    of_signals: ``of_signals(signals)`` returns what `compute` would, if other analyses need it.
     centred: Whether the signal that all sensors share is subtracted first.
     """
 
@@ -74,17 +73,12 @@ class Similarity:
     compute: Callable[[ArrayLike, int], Reals]
     score: Callable[[NDArray[Any], Signals | None, bool], Scores] | None = None
     correlated: Callable[[NDArray[Any]], NDArray[Any]] = np.asarray
-    of_signals: Callable[[Signals], Reals] | None = None
     centred: bool = False
 
 
 SIMILARITIES: Mapping[str, Similarity] = MappingProxyType(
     {
-        "pearson": Similarity(
-            "linear correlation",
-            lambda x, _: pearson(x),
-            of_signals=lambda signals: signals.pearson[0],
-        ),
+        "pearson": Similarity("linear correlation", lambda x, _: pearson(x)),
         "spearman": Similarity("rank correlation", lambda x, _: spearman(x), correlated=ranked),
         "co-activation": Similarity(
             "correlation of binary contact (phi)",
@@ -141,12 +135,13 @@ class Evidence:
         if len(recording.parts) > 1:
             return _of_parts(recording, statistic, bins)
         how, (recording,) = SIMILARITIES[statistic], recording.parts
+        few = recording.n_sensors <= MAX_PAIRED
         if with_variance or how.centred:
             step = thinning(recording.readings)
-            signals = recording.signals if step == 1 else None
+            signals = recording.signals if few and step == 1 else None
             return _compared(recording.readings[::step], statistic, bins, signals)
-        if how.of_signals is not None:
-            found = how.of_signals(recording.signals)
+        if few and statistic == "pearson":  # the health of sensors needs it, too
+            found = recording.signals.pearson[0]
         else:
             found = how.compute(recording.readings, bins)
         return cls.from_similarity(found, variance=np.nan, statistic=statistic)

@@ -197,10 +197,6 @@ def _neighbour_edges(evidence: Evidence, options: MethodOptions) -> Reals:
     return edges
 
 
-def _identity(dissimilarity: Reals) -> Reals:
-    return dissimilarity
-
-
 def _anisomap(similarity: str, summary: str, solver: str = AUTO_SOLVER) -> Method:
     return Method(summary, similarity, _reciprocal, metricise, solver=solver)
 
@@ -224,7 +220,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             "information distance, scaled without shortest paths",
             "mutual-information",
             _information_distance,
-            _identity,
+            np.asarray,
             solver=_PUBLISHED,
         ),
         "isomap": Method(

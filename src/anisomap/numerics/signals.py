@@ -96,15 +96,15 @@ class Signals:
         touched[:, restless] = False
         return touched
 
-    @property
-    def pearson(self) -> tuple[Reals, float]:
-        """Pearson's r of every pair of sensors, (N, N), and its reliability; kept up to 32 MiB."""
-        few = self.readings.shape[1] <= MAX_PAIRED
-        return self._pearson_of_few if few else _pearson(self.readings)
-
     @cached_property
-    def _pearson_of_few(self) -> tuple[Reals, float]:
-        return _pearson(self.readings)
+    def pearson(self) -> tuple[Reals, float]:
+        """Pearson's r of every pair of sensors, (N, N), and its reliability."""
+        # As of `spectra`: importing it takes time.
+        from anisomap.numerics.similarity import correlation  # noqa: PLC0415
+
+        found, reliability = correlation.correlation_and_reliability(self.readings)
+        found.setflags(write=False)
+        return found, reliability
 
     @cached_property
     def lag_correlation(self) -> Floats:
@@ -133,15 +133,6 @@ class Signals:
         rows = unit_rows(self.readings[:, chosen])
         rows *= np.hanning(rows.shape[1]).astype(np.float32)
         return chosen, np.abs(rfft(rows, axis=1).T) ** 2
-
-
-def _pearson(readings: NDArray[Any]) -> tuple[Reals, float]:
-    # As of `spectra`: importing it takes time.
-    from anisomap.numerics.similarity import correlation  # noqa: PLC0415
-
-    found, reliability = correlation.correlation_and_reliability(readings)
-    found.setflags(write=False)
-    return found, reliability
 
 
 def squares_and_lagged(

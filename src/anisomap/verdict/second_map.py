@@ -181,12 +181,11 @@ def _energies(readings: NDArray[np.generic], edges: NDArray[np.intp]) -> NDArray
 def _equal_halves(energies: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     """Return weights of the blocks in both halves of each split, (2 splits, B)."""
     order = np.argsort(-energies, kind="stable")
-    weights = np.zeros((2 * _N_SPLITS, len(energies)))
-    for split in range(_N_SPLITS):
-        for first in range(0, len(order), 2):
-            pair = rng.permutation(order[first : first + 2])
-            weights[2 * split + np.arange(pair.size), pair] = 1
-    return weights
+    which = rng.integers(2, size=(_N_SPLITS, -(-len(order) // 2), 1))  # the half of the stronger
+    first = (which == [0, 1]).reshape(_N_SPLITS, -1)[:, : len(order)]
+    weights = np.empty((_N_SPLITS, 2, len(order)))
+    weights[:, 0, order], weights[:, 1, order] = first, ~first
+    return weights.reshape(2 * _N_SPLITS, -1)
 
 
 def _own(similarity: Reals) -> NDArray[np.float64]:

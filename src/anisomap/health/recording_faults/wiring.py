@@ -210,7 +210,6 @@ _N_TYPICAL, _N_PERMUTATIONS = 9, 199  # orders of blocks: of the typical agreeme
 # By which the loss exceeds that of all orders, since places are not touched in random order; and
 # the least one, of half a sensor.
 _MARGIN, _LEAST_LOSS = 1.25, 0.3
-_LEAST_PRODUCT = 1e-24  # of the squared sizes of two rows; bounds rounding errors
 
 
 def find_change(recording: Recording) -> Iterator[Found]:
@@ -299,7 +298,7 @@ def _agreements(
             np.einsum("ij,ij->i", parts[i], parts[j]) - sums[i] * sums[j] / (sensors.size - 1)
             for i, j in ((0, 0), (0, 1), (1, 1))
         )
-        found.append(product / np.sqrt(np.maximum(before * after, _LEAST_PRODUCT)))
+        found.append(product / np.sqrt(np.maximum(before * after, 1e-24)))
     return np.array(found)[:, sensors]
 
 
