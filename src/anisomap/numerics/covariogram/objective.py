@@ -285,17 +285,16 @@ class Objective:
         self._repulsion = problem.noise * problem.options.repulsion
         similarity = np.where(problem.known, problem.similarity, 0.0).astype(np.float64)
         self._scale = _NOT_WHITENED / (1 + problem.options.ridge)
-        self._n_sensors = len(similarity)
-        loops = uses_loops(self._n_sensors)
-        self._by_scale = min(1.0, (_MAX_SCALED / self._n_sensors) ** 2)
+        self._n_sensors = n = len(similarity)
+        loops = uses_loops(n)
+        self._by_scale = min(1.0, (_MAX_SCALED / n) ** 2)
         self._weights: Reals | None = None
-        if self._n_sensors <= problem.options.max_whitened:
+        if n <= problem.options.max_whitened:
             # Inverted in float64; all other matrices take half the time in float32.
             weights = _whitening(similarity, problem.options.ridge)
             self._weights = weights.astype(problem.precision)
         elif not loops:
-            centring = np.eye(self._n_sensors) - 1 / self._n_sensors
-            self._weights = (self._scale * centring).astype(problem.precision)
+            self._weights = (self._scale * (np.eye(n) - 1 / n)).astype(problem.precision)
         known, similarity = (
             squareform(one.astype(problem.precision), checks=False)
             for one in (problem.known, similarity)

@@ -130,13 +130,11 @@ def correlation_and_reliability(
     """
     values = np.asarray(readings)
     n_frames, n_sensors = values.shape
-    if n_frames < _MIN_SPLIT_FRAMES:
+    if n_frames < _MIN_SPLIT_FRAMES or n_sensors < _MIN_SPLIT_SENSORS:
         return pearson(values), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
     first, second = map(PairSums.of, split_blocks(values, n_blocks))
     whole, step = first.merged(second).correlation(), -(-n_sensors // _MAX_PAIRED)
-    if len(whole[::step]) < _MIN_SPLIT_SENSORS:
-        return whole, 0.0
     halves = (one.correlation()[::step, ::step] for one in (first, second))
     pairs = [squareform(one, checks=False) for one in halves]
     return whole, float(pearson(np.stack(pairs, axis=1))[0, 1])
