@@ -1,4 +1,4 @@
-"""The verdict on a map: how far it can be used, from what is measured of its errors."""
+"""The verdict on the use of a map, from measurements of its errors."""
 
 from anisomap.map_verdict import LEVELS, UNKNOWN, Verdict
 from anisomap.verdict.judge import Measurements, judge
