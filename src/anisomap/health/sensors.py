@@ -40,12 +40,12 @@ STATUSES = (
 )
 """All statuses; of several faults of a sensor, the first in this order is its status."""
 
-_MAX_COMPARED = 4096  # sensors with which others are compared after shifts
-_N_SHIFTS = 19  # circular shifts that a related sensor exceeds
+_MAX_COMPARED = 4096  # sensors compared with all sensors after shifts
+_N_SHIFTS = 19  # circular shifts, whose highest r related sensors exceed
 _FRAMES_AT_ONCE = 256  # whose differences stay in the cache
-_ROWS_AT_ONCE = 4  # that are shifted; a product of their shifts stays in the cache
-_HARMFUL_MATCH = 0.75  # of the typical highest r: its place is less certain than that of others
-_MIN_AT_EXTREME = 10  # frames, of a sensor that saturates
+_ROWS_AT_ONCE = 4  # rows shifted at a time; the product of their shifts stays in the cache
+_HARMFUL_MATCH = 0.75  # relative to the typical highest r; below, the position is less certain
+_MIN_AT_EXTREME = 10  # frames of a saturating sensor
 _LEAST_R = 1e-3
 # Maximum number of levels of a sensor that noise may move a step from rest. A skin is on or off if
 # a smaller share of the sensors has more than two levels; by hand.

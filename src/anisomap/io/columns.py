@@ -1,4 +1,4 @@
-"""Which columns of a file are sensors, and what is read of taxels with three axes."""
+"""Selection of the columns of a file that are sensors, and of axes of taxels with three axes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from anisomap.io.parsing.source import warn
 from anisomap.io.stream import Block, ReadOptions, Stream
 from anisomap.names import default_names, find_sensors
 
-_ROWS, _LEAST_ROWS, _CELLS = 1000, 20, 1 << 17  # that tell what columns are
+_ROWS, _LEAST_ROWS, _CELLS = 1000, 20, 1 << 17  # that determine the kinds of columns
 _REMEDIES = {
     "--keep": "give --keep to choose others",
     "--axis": "choose with --axis z, norm, x, y, or all for each by itself",
@@ -23,9 +23,9 @@ _REMEDIES = {
 
 
 def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
-    """Leave out columns that are no sensors, and take an axis of taxels with three; warn of both.
+    """Leave out columns that are not sensors, and take one axis of taxels with three; warn of both.
 
-    Only `options.keep` decides which columns are sensors if it is given.
+    If `options.keep` is given, it alone determines the sensors.
     """
     if not (stream.raw_columns or options.keep):
         return stream
@@ -56,7 +56,7 @@ def _peeked(stream: Stream) -> tuple[NDArray[Any], Stream]:
     held, wanted = list[Block](), max(_LEAST_ROWS, min(_ROWS, _CELLS // stream.n_sensors))
     for block in stream.blocks:
         if not len(block.readings):
-            break  # lines that are still arriving
+            break  # more lines may follow
         held.append(block)
         if sum(len(each.readings) for each in held) >= wanted:
             break
@@ -80,7 +80,7 @@ def _selected(stream: Stream, kept: NDArray[np.intp]) -> Stream:
 
 
 def _one_axis(stream: Stream, axis: str, taxels: Taxels, left_out: Collection[int]) -> Stream:
-    """Take an axis, or the length, of taxels with three; columns that are none of them stay."""
+    """Take an axis, or the length, of taxels with three axes; other columns are kept."""
     places = np.array([*taxels.columns.values()])
     kept, names = taxels.kept(stream.names, left_out, "z" if axis == "norm" else axis)
     if len(set(names)) < len(names):

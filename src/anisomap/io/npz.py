@@ -46,12 +46,12 @@ _RECORDING_KEYS = {
     *("readings", "positions", "normals", "surface_distances"),
     *("names", "times", "rate_hz", "units", "source", "metadata"),
 }
-_MOMENTS = {"times", "time", "spike_times", "events", "event"}  # of events, beside no readings
+_MOMENTS = {"times", "time", "spike_times", "events", "event"}  # of events, without readings
 
 
 @contextmanager
 def _damage(what: str) -> Iterator[None]:
-    """Convert errors of reading an array: NumPy evaluates its header, so that any may result."""
+    """Convert errors of reading an array; NumPy evaluates its header, so any error is possible."""
     try:
         yield
     except (OSError, zipfile.BadZipFile):
@@ -62,7 +62,7 @@ def _damage(what: str) -> Iterator[None]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[zipfile.ZipFile]:
-    """Open an archive, of which all arrays but the readings may be taken as a whole."""
+    """Open an archive; all arrays except readings may be read as a whole."""
     with zipfile.ZipFile(path) as archive:
         budget = Budget(path)
         for info in archive.infolist():
@@ -147,7 +147,7 @@ def _mapping(archive: zipfile.ZipFile, name: str) -> dict[str, Scalar]:
 
 
 def _scalars(archive: zipfile.ZipFile) -> dict[str, Scalar]:
-    """Read the scalars beside a recording; objects are skipped."""
+    """Read the scalars in addition to a recording; objects are skipped."""
     found: dict[str, Scalar] = {}
     for name in _names(archive):
         large = archive.getinfo(name + _SUFFIX).file_size > _MAX_SCALAR_BYTES
@@ -191,7 +191,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 
 @contextmanager
 def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open an array, (T, N), not mapped into memory: a file that is cut would end the process."""
+    """Open an array, (T, N), without memory mapping: a truncated file would end the process."""
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
         yield replace(_stream(path, stream, size, "the array"), raw_columns=True)
@@ -200,9 +200,9 @@ def open_array(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def _stream(
     path: Path, stream: IO[bytes], size: int, what: str, times: NDArray[Any] | None = None
 ) -> Stream:
-    """Open an array of readings of `size` bytes, its header included, in blocks of rows.
+    """Open an array of readings of `size` bytes, including its header, in blocks of rows.
 
-    One in Fortran order, or with time last, is read as a whole.
+    An array in Fortran order, or with time as last axis, is read as a whole.
     """
     shape, fortran_order, dtype = _header(stream, what)
     frames = frames_of(shape) if min(shape, default=0) > 0 else None
@@ -309,7 +309,7 @@ def to_json(mapping: Mapping[str, Scalar]) -> str:
 
 
 def write_arrays(arrays: Mapping[str, Any], path: Path) -> None:
-    """Write arrays, texts and tuples of texts as an archive; those that are None are left out."""
+    """Write arrays, texts and tuples of texts as an archive; None is omitted."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, array in arrays.items():
             if array is None:

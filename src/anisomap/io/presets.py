@@ -63,13 +63,13 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
 
 
 def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
-    """Join the rows of frames that are stored one after the other, if the columns are those."""
+    """Join the rows of frames that are stored successively, if the columns agree with the grid."""
     if grid is None or grid[0] == 1 or stream.n_sensors != grid[1]:
         return stream
     rows, columns = grid
     counted = ([*range(columns)], [*range(1, columns + 1)])
     if stream.names and numbers_of(stream.names) not in counted:
-        return stream  # the names of the columns give cells, or none
+        return stream  # names of columns may give cells
 
     def blocks() -> Iterator[Block]:
         held: Block | None = None
@@ -105,7 +105,7 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
 
 
 def _warn_of_shift(path: Path, frames: NDArray[np.floating], rows: int) -> None:
-    """Warn if the first and the last row of frames, (t, N), are alike, and two others are not."""
+    """Warn if the first and last rows of frames, (t, N), are similar, and other pairs are not."""
     cells = np.nan_to_num(frames).reshape(len(frames), rows, -1)
     cells = np.abs(cells - np.median(cells, axis=0))
     following = np.roll(cells, -1, axis=1)
@@ -128,7 +128,7 @@ def _without_empty_cells(recording: Recording) -> Recording:
 _MIN_SEEN, _SHIFTED = 300, 0.2  # frames; by how much rows are more unlike than others
 
 Numbering: TypeAlias = Callable[[Recording], dict[int, str]]
-"""Function from a recording to the index and name of each value that is a sensor."""
+"""Function that returns the index and name of each value of a recording that is a sensor."""
 
 _BOARD, _TRIANGLE = 192, 12
 _FINGERS = ("index", "middle", "ring", "little", "thumb")

@@ -2,8 +2,8 @@
 
 A reader returns a `Stream`: the metadata of the recording, and an iterator of blocks. `assemble`
 collects the blocks into a `Recording`, or an even sample of their frames, `choose` selects the
-recording in files that hold several, and `join_streams` joins parts of one skin that were recorded
-at the same time. `open_isolated` reads one in another process: see
+recording in files that contain several, and `join_streams` joins parts of one skin that were
+recorded simultaneously. `open_isolated` reads a recording in another process: see
 `anisomap.files.reader_process`.
 """
 
@@ -37,9 +37,9 @@ def increasing_times(
     locate: Callable[[int], str] | None = None,
     every: int = 1,
 ) -> NDArray[np.float64] | None:
-    """Return times, (T,), if they are finite and strictly increase, else warn and return None.
+    """Return times, (T,), if they are finite and strictly increase; else warn and return None.
 
-    every: If only every k-th frame is given, k.
+    every: k if only every k-th frame is given.
     """
     values = np.asarray(times, dtype=np.float64)
     if values.ndim != 1:
@@ -64,7 +64,7 @@ def _increase(times: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def to_float32_if_exact(readings: NDArray[Any]) -> NDArray[Any]:
-    """Convert readings to float32 if that is exact, which halves the memory of most recordings."""
+    """Convert readings to float32 if it is exact, which halves the memory of most recordings."""
     with np.errstate(all="ignore"):
         single = readings.astype(np.float32)
     return single if np.array_equal(single, readings, equal_nan=True) else readings
@@ -75,7 +75,7 @@ _MIN_TURNED = 8  # frames
 
 
 class ChoiceError(FileError):
-    """The file holds several possible recordings, and none was selected."""
+    """The file contains several possible recordings, and none was selected."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> C
 
 
 def refuse_selection(described: object, select: str) -> None:
-    """Raise a `FileError` if a recording is selected from a file that holds a single one."""
+    """Raise a `FileError` if a recording is selected in a file with a single recording."""
     if select:
         raise FileError(f"{described} holds a single recording; leave out --select {select}")
 
@@ -135,8 +135,8 @@ BLOCK_FRAMES = 8192
 """Default number of frames per block of `open_stream`."""
 
 BLOCK_BYTES = 1 << 22
-"""Size of the blocks in which readers hand on readings, of at least one frame: small for any
-memory, and large enough that the work of a block does not count."""
+"""Size of the blocks of readers, with at least one frame: small compared to memory, and large
+enough that the overhead of a block is negligible."""
 
 
 @dataclass(frozen=True)
@@ -146,9 +146,9 @@ class ReadOptions:
     Parameters
     ----------
     select : str
-        Recording to read from a file that holds several: a dataset, port, or topic with
-        field (``/skin:data``). Several ports or topics are separated by commas. Must be empty for
-        formats that hold a single recording.
+        Recording to read from a file with several: a dataset, port, or topic with field
+        (``/skin:data``). Several ports or topics are separated by commas. Must be empty for formats
+        with a single recording.
     grid : (int, int), optional
         Rows and columns of a rectangular array with sensors in row-major order; sets positions.
     definitions : tuple of pathlib.Path
@@ -159,8 +159,8 @@ class ReadOptions:
         File of true positions of the sensors, in any format of maps. Sensors match by name, or by
         the numbers at the ends of the names.
     axis : {"z", "norm", "x", "y", "all"}
-        What is read from taxels with three axes: one axis, the distance of the reading from its
-        value at rest (``"norm"``), or each axis as a sensor.
+        Axis of taxels with three axes: one axis, the distance of the reading from its value at rest
+        (``"norm"``), or each axis as a sensor.
     keep : tuple of str
         Columns that are sensors: names, indices, ranges (``c0-c35``) or patterns (``*_z``). By
         default, all columns that are not recognised as something else.
@@ -208,7 +208,7 @@ class Block:
 
     @property
     def arrays(self) -> dict[str, Any]:
-        """The arrays that it has, by name."""
+        """The existing arrays by name."""
         return {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
 
     def part(self, start: int, stop: int | None = None) -> Block:
@@ -223,10 +223,10 @@ class Stream:
     path: The file, for messages.
     n_sensors: In every block.
     blocks: Can be iterated once.
-    names, ..., metadata: As for `Recording`.
+    names, ..., metadata: See `Recording`.
     from_zero: Whether to shift times so that the first frame is at 0.
     locate: Maps a frame index to its place in the file, such as ``"line 12"``.
-    raw_columns: Whether columns may be something else than sensors, or axes of sensors.
+    raw_columns: Whether columns may be axes of sensors, or not sensors.
     """
 
     path: Path
@@ -303,7 +303,7 @@ def assemble(
 
 
 def doubt_of_rows(stream: Stream, n_frames: int) -> str:
-    """Return what to say if the rows of a table without names may be sensors; empty if not."""
+    """Return a warning if the rows of a table without names may be sensors; else empty."""
     if not (stream.raw_columns and _MIN_TURNED <= n_frames < stream.n_sensors / 4) or stream.names:
         return ""
     size = f"{n_frames} frames of {stream.n_sensors} sensors without names"
@@ -357,7 +357,7 @@ def read_in_blocks(
 
 
 def salvage(blocks: Iterator[Block], path: Path) -> Iterator[Block]:
-    """Yield the blocks before the first damage, and warn about the lost rest."""
+    """Yield the blocks before the first damage, and warn about lost blocks."""
     n_frames, fraction = 0, 0.0
     try:
         for block in blocks:
@@ -379,7 +379,7 @@ class Frame(NamedTuple):
 
 
 def stack_frames(frames: Iterator[Frame]) -> Iterator[Block]:
-    """Collect frames in blocks, without times that some lack; those before an error come first."""
+    """Collect frames in blocks, without times if some lack them; yield frames before an error."""
     for held in batches(frames, lambda frame: frame.readings.nbytes, BLOCK_BYTES):
         readings, fractions, *clocks = zip(*held, strict=True)
         times = (None if None in clock else np.array(clock) for clock in clocks)
@@ -407,9 +407,9 @@ def _best_clock(
 
 
 def join_streams(streams: Mapping[str, Stream]) -> Stream:
-    """Join the sensors of several streams, sampled at the times of the first; one is unchanged.
+    """Join the sensors of several streams at the times of the first; a single one is unchanged.
 
-    All but the first are read as a whole.
+    All streams except the first are read as a whole.
     """
     (_, leader), *followers = streams.items()
     if not followers:
@@ -451,7 +451,7 @@ def _joined_blocks(
 
 
 def _whole(name: str, stream: Stream) -> tuple[NDArray[np.float64], NDArray[Any]]:
-    """Read all times, (T,), and readings, (T, N), of a stream; a clock that steps back is held."""
+    """Read all times, (T,), and readings, (T, N), of a stream; decreasing times are held."""
     blocks = list(stream.blocks)
     if not blocks:
         raise FileError(f"{stream.path}: {name} has no frame")

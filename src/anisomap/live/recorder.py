@@ -1,7 +1,7 @@
 """The recording of a live session: delimited text that grows frame by frame.
 
-The file is a recording that `anisomap.read` reads at any time, also after the process was killed:
-whole lines are handed to the operating system, in every tick of the session.
+`anisomap.read` can read the file at any time, even after the process was killed: whole lines are
+passed to the operating system in every tick of the session.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from anisomap.live.batches import Batch
 from anisomap.names import default_names
 
 MAX_WIDTH = 250_000
-"""Readings of a frame. Text files with lines of 2^23 characters or more cannot be read, and a
-reading has up to 25 characters; sensors without a number have names of up to 7."""
+"""Maximum readings of a frame. Text files with lines of 2^23 characters or more cannot be read. A
+reading has up to 25 characters, and the name of a sensor without a number up to 7."""
 
 GAP = "no frame for"
 """Beginning of the notice of a gap."""
 
-_HELD_BYTES = 1 << 16  # written at once above this size, whatever the time
-_SILENCE_S = 1.0  # without a frame, after which a gap is noticed
+_HELD_BYTES = 1 << 16  # buffered bytes above which frames are written immediately
+_SILENCE_S = 1.0  # minimum time without a frame for a gap
 _STEP_S = 0.02  # between two entries of the arrivals
-_RATE_S = 3.0  # over which the rate is measured
+_RATE_S = 3.0  # period of the measured rate
 _TICK = 1e-6  # seconds; the last digit of the times in the file
 
 
@@ -67,12 +67,12 @@ class JournalWriter:
                 self.flush()
 
     def flush(self) -> None:
-        """Hand all frames to the operating system."""
+        """Pass all frames to the operating system."""
         content, self._held = bytes(self._held), bytearray()
         self._write(content)
 
     def close(self) -> None:
-        """Write what is held, and close the file."""
+        """Write buffered frames, and close the file."""
         if not self._file.closed:
             with self._file:
                 self.flush()
@@ -127,7 +127,7 @@ class Segment:
 
 
 class Recorder:
-    """Writes frames to a file, and to another one after `close`.
+    """Writes frames to a file, and after `close` to another file.
 
     path: The first file; later ones are numbered, as in ``skin-2.csv``. Numbers of files that exist
         are left out: they belong to earlier sessions.
@@ -192,21 +192,21 @@ class Recorder:
         self.names = names
 
     def flush(self) -> int:
-        """Hand what was recorded to the operating system; return the frames that a reader finds."""
+        """Pass recorded frames to the operating system; return the number that can be read."""
         with self._lock:
             if self._writer is not None:
                 self._writer.flush()
             return self.n_frames
 
     def close(self) -> None:
-        """Write everything and close the file; the next frame begins a new one."""
+        """Write all frames and close the file; the next frame begins a new file."""
         with self._lock:
             writer, self._writer = self._writer, None
             if writer is not None:
                 writer.close()
 
     def recent(self) -> NDArray[np.float64] | None:
-        """Return the readings that were recorded since the last call, (t, N); None without any."""
+        """Return the readings recorded since the last call, (t, N); None without readings."""
         with self._lock:
             found, self._recent = self._recent, []
         return np.concatenate(found) if found else None
@@ -216,7 +216,7 @@ class Recorder:
         path = self._path
         if number > 1:
             later = (path.with_stem(f"{path.stem}-{at}") for at in count(number))
-            path = next(path for path in later if not os.path.lexists(path))  # nor a broken link
+            path = next(path for path in later if not os.path.lexists(path))  # also broken links
         names = self.names if len(self.names) == width else default_names(width)
         names = distinct_names(path, [printable(name) for name in names])
         self._writer = JournalWriter(path, names, self._source)
@@ -272,13 +272,13 @@ class Recorder:
 
 
 class Arrivals:
-    """When frames arrived: gives the age of a map by its number of frames."""
+    """Times of arrival of frames, for the age of a map with a given number of frames."""
 
     def __init__(self) -> None:
         self._counts: deque[tuple[int, float]] = deque(maxlen=20_000)
 
     def add(self, n_frames: int, now: float) -> None:
-        """Note that there are `n_frames` frames at a time."""
+        """Record that there are `n_frames` frames at a time."""
         if self._counts and now - self._counts[-1][1] < _STEP_S:
             now = self._counts.pop()[1]
         self._counts.append((n_frames, now))
@@ -292,5 +292,5 @@ class Arrivals:
         return (after - before) / (end - begin)
 
     def time_of(self, n_frames: int) -> float | None:
-        """Return when the first frame arrived that is not among the first `n_frames`."""
+        """Return the time of arrival of the first frame after the first `n_frames`."""
         return next((moment for count, moment in list(self._counts) if count > n_frames), None)

@@ -34,10 +34,10 @@ from anisomap.sensor_map import SensorMap
 from anisomap.verdict.chance import MIN_FRAMES
 
 MAX_CURVE = 500
-"""Points of a curve over time; when there are more, every other one is left out."""
+"""Maximum points of a curve over time; above it, every other point is removed."""
 
 _GROWTH = 1.15  # of the number of frames between two checked maps
-_NEARLY_ALL = 0.9  # of the sensors touched, for one checked map to suffice; chosen by hand
+_NEARLY_ALL = 0.9  # share of touched sensors for which one checked map suffices; chosen by hand
 _REASONS = {2: "the skin looks flat", 3: "the skin does not look flat"}
 _MAX_NAMED = 3  # sensors in one sentence
 _SHARE_S = 1.0  # between two points of the share of sensors touched
@@ -46,9 +46,9 @@ _Point = TypeVar("_Point")
 
 
 class SessionMaps:
-    """Quick and checked maps of a recording that grows, made by two processes.
+    """Quick and checked maps of a growing recording, made by two processes.
 
-    notify, announce: Take sentences for the user; are called when there is a new map.
+    notify, announce: Callbacks for sentences for the user, and for new maps.
     clock: Returns the time since the start of the session in seconds.
     curve: Times in seconds, expected and true errors of checked maps in spacings, or NaN.
     touched: Share of the sensors touched over time in seconds.
@@ -72,7 +72,7 @@ class SessionMaps:
         self.ready = threading.Event()
         self._notify, self._announce, self._clock = notify, announce, clock
         self._segment: Segment | None = None
-        self._dimensions = SPATIAL  # of quick maps, if the options leave it open
+        self._dimensions = SPATIAL  # of quick maps, if the options do not specify them
         self._has_changed = False
         self._finished = threading.Event()
         self._examined_frames = 0
@@ -97,7 +97,7 @@ class SessionMaps:
 
     @property
     def n_sensors(self) -> int:
-        """Number of sensors that maps are to place."""
+        """Number of sensors to be mapped."""
         return len(self.names) - (0 if self.quick is None else len(self.quick.left_out))
 
     @property
@@ -110,7 +110,7 @@ class SessionMaps:
 
     @property
     def faults(self) -> tuple[SensorHealth, ...]:
-        """The sensors that are faulty; those that were hardly touched so far are left out."""
+        """Faulty sensors, except sensors that were hardly touched so far."""
         if self.checked is None:
             return ()
         dead = () if self.quick is None else self.quick.advice.dead
@@ -119,19 +119,19 @@ class SessionMaps:
 
     @property
     def dropped(self) -> tuple[str, ...]:
-        """Names of the sensors that the user leaves out."""
+        """Names of the sensors left out by the user."""
         return find_dropped(self.options.drop, self.names)[0]
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Names that the user wants to leave out, but that are no sensors."""
+        """Names to be left out that are not sensors."""
         return find_dropped(self.options.drop, self.names)[1]
 
     @property
     def guidance(self) -> tuple[str, bool]:
-        """What to do now, in one sentence, and whether the map is good.
+        """Advice in one sentence, and whether the map is good.
 
-        It says nothing of the last checked map, which the panel shows, but whether it is good.
+        The advice does not describe the last checked map, which the panel shows.
         """
         if self.quick is None:
             return "Touch the skin", False
@@ -149,7 +149,7 @@ class SessionMaps:
 
     @property
     def made(self) -> SensorMap:
-        """The checked map, which must exist."""
+        """The checked map; it must exist."""
         if self.checked is None or self.checked.sensor_map is None:
             reason = "" if self.checked is None else f": {self.checked.verdict.reasons[0]}"
             raise InputError(f"there is no checked map yet{reason}")
@@ -162,7 +162,7 @@ class SessionMaps:
 
     @property
     def outcome(self) -> str:
-        """What the final map is good for, as a sentence; empty before it is made."""
+        """Sentence on the use of the final map; empty before the map is made."""
         if self.checked is None or not self.checked.final:
             return ""
         if self.checked.sensor_map is None:
@@ -171,19 +171,19 @@ class SessionMaps:
 
     @property
     def error_told(self) -> str:
-        """How far positions of the checked map are off, in words; empty if that is not known."""
+        """Text about the error of the checked map; empty if the error is unknown."""
         verdict = Verdict() if self.checked is None else self.checked.verdict
         return verdict.headline(*self.spacing).partition(": ")[2]
 
     @property
     def reason(self) -> str:
-        """The worst reason of the verdict on the checked map; empty without one."""
+        """The worst reason of the verdict on the checked map; empty without a map."""
         reasons = () if self.checked is None else self.checked.verdict.reasons
         return scaled_note(reasons[0], *self.spacing) if reasons else ""
 
     @property
     def spacing(self) -> tuple[float, str]:
-        """The distance between neighbouring sensors and its unit; 1 and spacings if not known."""
+        """The distance between neighbouring sensors and its unit; 1 and "spacings" if unknown."""
         known = self.options.spacing_mm
         return (known, "mm") if known else (1.0, "spacings")
 
@@ -209,7 +209,7 @@ class SessionMaps:
         self._map_quickly()
 
     def follow(self, n_frames: int) -> None:
-        """Ask for a checked map if it is time for one, and note the share of sensors touched."""
+        """Request a checked map if one is due, and record the share of touched sensors."""
         now = self._clock()
         if not self.touched or now - self.touched[-1][0] >= _SHARE_S:
             self.touched = [*_thinned(self.touched), (now, self.share_touched)]
@@ -234,7 +234,7 @@ class SessionMaps:
         return self.checked if self.checked is not None and self.checked.final else None
 
     def _map_quickly(self) -> None:
-        """Tell the worker what to map from now on."""
+        """Send the current task to the worker."""
         if self._segment is not None:
             self._quick.send(Task(self._segment, self.options, self._dimensions))
 
@@ -270,10 +270,10 @@ class SessionMaps:
             self._finished.set()
 
     def _choose_dimensions(self) -> None:
-        """Show quick maps in the number of dimensions that checked maps choose.
+        """Show quick maps in the number of dimensions chosen by checked maps.
 
-        It is changed when two checked maps in a row agree; the first time, one suffices if nearly
-        all sensors were touched.
+        The number changes when two successive checked maps agree; the first time, one suffices if
+        nearly all sensors were touched.
         """
         made = None if self.checked is None else self.checked.sensor_map
         if self.options.dimensions != AUTO or self.quick is None or made is None:
@@ -292,19 +292,19 @@ class SessionMaps:
 
 
 def _thinned(curve: Sequence[_Point]) -> list[_Point]:
-    """Return the points of a curve, every other one if there are `MAX_CURVE` or more."""
+    """Return the points of a curve, or every other point if there are `MAX_CURVE` or more."""
     return list(curve[::2] if len(curve) >= MAX_CURVE else curve)
 
 
 TICK_S = 0.04
-"""Time between two states of the readings on the page: 25 per second."""
+"""Time between two updates of the readings on the page: 25 per second."""
 
 LAGS_S = 2.0
-"""Age of the newest frame in the map above which the session lags."""
+"""Maximum age of the newest frame in the map of a session that does not lag."""
 
 _MAX_NOTICES = 100
 _NOTICE_EVERY_S = 5.0  # for notices of one kind
-_KIND = 20  # first characters of a notice that tell its kind
+_KIND = 20  # first characters of a notice, which determine its kind
 _STOP_S = 3.0  # for a source to end
 
 
@@ -318,16 +318,16 @@ class Note(NamedTuple):
 class LiveSession:
     """Records a source and maps it while it runs.
 
-    Use it as a context manager: frames are recorded from its beginning, and everything is on disk
-    at its end.
+    Use it as a context manager: frames are recorded from the start of the context, and all frames
+    are on disk at its end.
 
     recording: File for the recording; must not exist.
-    levels (N,): What the sensors read now, from 0 to 1: see `read_levels`.
-    ended, wanted_end: Set when the source has ended, and when the user has asked for the end.
-    changed: Notified of every map, and of every state of the readings, which `tick` counts.
+    levels (N,): Current readings, from 0 to 1: see `read_levels`.
+    ended, wanted_end: Set when the source has ended, and when the user has requested the end.
+    changed: Notified of every map, and of every update of the readings, which `tick` counts.
     first_frame_at: Time of the first frame by the monotonic clock; infinite before it.
-    page: File to which the page is written at the end, if it is.
-    failure: Why the recording ended, if it could not go on.
+    page: File to which the page is written at the end, if any.
+    failure: Reason why the recording ended, if it could not be continued.
     """
 
     def __init__(
@@ -386,7 +386,7 @@ class LiveSession:
 
     @property
     def gaps(self) -> list[float]:
-        """When a gap in the readings ended, in seconds since the start."""
+        """End of each gap in the readings, in seconds since the start."""
         return [note.seconds for note in list(self.notices) if note.text.startswith(GAP)]
 
     @property
@@ -402,12 +402,12 @@ class LiveSession:
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second of the last seconds; NaN before."""
+        """Frames per second in the last seconds; NaN before the first frames."""
         return self._arrivals.rate(time.monotonic())
 
     @property
     def map_age(self) -> float:
-        """Time in seconds for which the oldest frame that is not in the quick map has waited."""
+        """Waiting time in seconds of the oldest frame that is not in the quick map."""
         quick = self.maps.quick
         if quick is None:
             return 0.0 if self.recorder.n_frames == 0 else self.seconds
@@ -422,7 +422,7 @@ class LiveSession:
 
     @property
     def guidance(self) -> tuple[str, bool]:
-        """What to do now, in one sentence, and whether the map is good."""
+        """Advice in one sentence, and whether the map is good."""
         state = self.state
         if state == "ended":
             return f"The session is over. {self.maps.outcome}".rstrip(), self.maps.is_good
@@ -441,7 +441,7 @@ class LiveSession:
 
     @property
     def command(self) -> str:
-        """The command that makes the final map again; empty before the first frame."""
+        """The command that reproduces the final map; empty before the first frame."""
         if self.segment is None:
             return ""
         options, unknown = self.maps.options, self.maps.unknown
@@ -458,7 +458,7 @@ class LiveSession:
         return shlex.join(["anisomap", "map", str(self.segment.path), *words])
 
     def notify(self, text: str) -> None:
-        """Add a sentence for the user; of those of one kind in some seconds, the last stays."""
+        """Add a sentence for the user; it replaces a recent sentence of the same kind."""
         text, now = printable(text), self.seconds
         kind = text[:_KIND]
         if now - self._told.get(kind, -_NOTICE_EVERY_S) < _NOTICE_EVERY_S:
@@ -471,8 +471,8 @@ class LiveSession:
         self.notices.append(Note(now, text))
 
     def pause(self, paused: bool) -> None:
-        """Record nothing for a while, or go on."""
-        self.recorder.arrived_at = None  # a pause is no silence of the source
+        """Pause or continue recording."""
+        self.recorder.arrived_at = None  # a pause is not a gap of the source
         self.paused = paused
         self.notify("paused: nothing is recorded" if paused else "recording again")
 
@@ -482,7 +482,7 @@ class LiveSession:
         self.notify("a new recording begins")
 
     def drop(self, names: Sequence[str]) -> None:
-        """Leave sensors out of the maps, or take back those that were left out."""
+        """Leave sensors out of the maps, or restore sensors that were left out."""
         known = set(self.maps.names)
         if unknown := [name for name in names if name not in known]:
             raise InputError(f"there is no sensor {printable(unknown[0])}")
@@ -514,7 +514,7 @@ class LiveSession:
         return path
 
     def stop(self) -> None:
-        """End the acquisition; everything that arrived is on disk afterwards."""
+        """End the acquisition; all received frames are then on disk."""
         self._stop.set()
         for thread in self._threads:
             if thread is not threading.current_thread():
@@ -526,7 +526,7 @@ class LiveSession:
         self._end()
 
     def finish(self, gives_up: Callable[[], bool] = lambda: False) -> Examination | None:
-        """End the acquisition and make the final map, of all frames, unless that is given up."""
+        """End the acquisition, and make the final map of all frames unless `gives_up`."""
         self.stop()
         self.finishing = True
         try:
@@ -553,7 +553,7 @@ class LiveSession:
                     break
         except AnisomapError as error:
             self._fail(error)
-        except Exception as error:  # a defect of a source must not lose what was recorded
+        except Exception as error:  # a defect of a source must not lose the recording
             why = f"{type(error).__name__}: {error}"
             self._fail(AnisomapError(f"{self.source.description} failed: {why}"))
         finally:
@@ -573,7 +573,7 @@ class LiveSession:
         self.maps.begin(segment)
 
     def _keep_time(self) -> None:
-        """Write what is held, prepare the readings for the page, and ask for checked maps."""
+        """Write buffered frames, prepare readings for the page, and request checked maps."""
         readable = 0
         while not self._stop.wait(TICK_S):
             try:

@@ -99,7 +99,7 @@ class Signals:
     @cached_property
     def pearson(self) -> tuple[Reals, float]:
         """Pearson's r of every pair of sensors, (N, N), and its reliability."""
-        # As of `spectra`: importing it takes time.
+        # Imported here, since importing it takes time.
         from anisomap.numerics.similarity import correlation  # noqa: PLC0415
 
         found, reliability = correlation.correlation_and_reliability(self.readings)

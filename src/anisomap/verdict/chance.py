@@ -1,7 +1,7 @@
 """Errors of positions by chance, estimated from maps of resamples of the recording.
 
-Blocks of frames are resampled, and the map of each resample starts from the map of all frames and
-takes a few iterations. Covariances of positions add systematic errors to these.
+Blocks of frames are resampled. The map of each resample starts from the map of all frames and takes
+a few iterations. Covariances of positions also include systematic errors.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.similarity.correlation import N_BLOCKS
 
 MIN_SENSORS = 12
-"""Minimum number of sensors: maps of fewer agree too often by chance."""
+"""Minimum number of sensors: maps of fewer sensors agree too often by chance."""
 
 MIN_FRAMES = 4 * N_BLOCKS
 """Minimum number of frames."""
 
 MAX_SENSORS = 5000
-"""Maximum number of sensors: resamples of two matrices of all their pairs take 800 MB."""
+"""Maximum number of sensors: resamples of two matrices of all pairs take 800 MB."""
 
 STEP = 0.5
 """Share of the weights that is resampled: see `Evidence.resamples`.
 
-Differences between maps are divided by it. A full resample has twice the noise of the recording,
-and shortest paths are biased by noise.
+Differences between maps are divided by this share. It is below 1, since a full resample has twice
+the noise of the recording, and noise biases shortest paths.
 """
 
-_N_RESAMPLES = 3  # enough, since covariances are pooled over sensors
-_MAX_ITERATIONS = 5  # of the covariogram fit of a resample, which starts from that of the map
+_N_RESAMPLES = 3  # sufficient, since covariances are pooled over sensors
+_MAX_ITERATIONS = 5  # of the covariogram fit of a resample, which starts from the fit of the map
 _ALIGNMENTS = 4  # rounds of alignment to the mean of all maps; more change nothing visible
-_N_POOLED = 8  # nearest sensors over which covariances are pooled; 20 hold equally many positions
+_N_POOLED = 8  # nearest sensors for pooled covariances; with 20, ellipses contain equally many
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A component of n sensors of a map, with what it was made from.
+    """A component of n sensors of a map, with its stages.
 
     scaled (n, k): Positions from the metric alone.
     """
@@ -78,14 +78,14 @@ def deviations_by_chance(
     rng: np.random.Generator,
     progress: Callable[[float], None],
 ) -> NDArray[np.float64]:
-    """Return deviations of positions, (n, k), of the size of their errors by chance, (R, n, k)."""
+    """Return deviations of positions (n, k) that represent errors by chance, (R, n, k)."""
     fit = part.refined.fit
     most = min(options.covariogram.max_iterations, _MAX_ITERATIONS)
     few = replace(options.covariogram, max_iterations=most)
     start = np.asarray(fit.positions, dtype=np.float64)
     made = []
     for resample in part.evidence.resamples(_N_RESAMPLES, STEP, rng):
-        # The metric, towards which the fit is drawn, has errors by chance as well.
+        # The metric, a prior of the fit, has errors by chance as well.
         metric = recipe.lengths_of(resample, options)
         lengths = metric / (best_scale(start, metric)[0] or 1.0)
         found = recipe.refine(resample, lengths, start, few, fit) if recipe.refine else None
@@ -101,8 +101,8 @@ def deviations_from_mean(
 
     maps (R, n, k), positions (n, k) -> (R, n, k). The mean square is an unbiased variance.
 
-    The deviations are from the mean of the maps, not from the given map: resamples have more noise
-    than the recording, which shifts all of their maps alike.
+    Deviations are from the mean of the maps, not from the given map: resamples have more noise than
+    the recording, which shifts all of their maps equally.
     """
     aligned = aligned_to_mean(maps)
     mean = aligned.mean(axis=0)
@@ -112,13 +112,13 @@ def deviations_from_mean(
 
 
 def aligned_to_mean(maps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Align maps of the same sensors with their mean; uncertain sensors count less.
+    """Align maps of the same sensors with their mean; uncertain sensors have less weight.
 
     maps (R, n, k) -> (R, n, k).
 
     Generalised Procrustes analysis (Gower 1975, doi:10.1007/BF02291478), in which a sensor of
-    variance v has the weight ``1 / (v + median v)``, so that sensors whose positions are hardly
-    known do not turn the maps.
+    variance v has the weight ``1 / (v + median v)``, so that sensors with uncertain positions do
+    not rotate the maps.
     """
     mean, weights = maps[0], np.ones(maps.shape[1])
     aligned = maps
@@ -140,9 +140,9 @@ def covariances(
 
     deviations (R, n, k), positions (n, k) -> (n, k, k).
 
-    The covariance of few maps is itself uncertain. The result is therefore the mean of three
-    covariances: that of the sensor, the mean of those of its 8 nearest sensors, and the isotropic
-    covariance with the trace of that mean.
+    A covariance estimated from few maps is uncertain. The result is therefore the mean of three
+    covariances: the covariance of the sensor, the mean over its 8 nearest sensors, and the
+    isotropic covariance with the trace of this mean.
     """
     own = np.einsum("rni,rnj->nij", deviations, deviations) / len(deviations)
     around = pooled(own, positions, _N_POOLED)
@@ -152,7 +152,7 @@ def covariances(
 
 
 def error_in_spacings(found: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
-    """Return the RMS error that belongs to `covariances`, in spacings of the map.
+    """Return the RMS error according to `covariances`, in spacings of the map.
 
     found (n, k, k), positions (n, k).
     """
@@ -161,17 +161,17 @@ def error_in_spacings(found: NDArray[np.float64], positions: NDArray[np.float64]
     return math.sqrt(mean) / spacing if spacing > 0 else math.inf
 
 
-_N_DIFFERENCES = 9  # a sensor and its nearest 8, over which squared differences are averaged
+_N_DIFFERENCES = 9  # a sensor and its nearest 8, for averages of squared differences
 
 REGION_RADIUS, MIN_REGION = 5.0, 6
-"""Radius of a region in spacings, and sensors of the smallest one."""
+"""Radius of a region in spacings, and minimum number of sensors."""
 
 ELLIPSE_SCALE = 2.0
 """Ratio of the covariances of positions to the square of the expected error.
 
-The errors of maps spread around the expected ones, and those of sensors around that of their map.
-Ellipses of 95 % hold 94 % of the true positions on 180 maps with errors of at most a spacing
-(the benchmark `trust`, seeds 7001 to 7119).
+Errors of maps vary around the expected error, and errors of sensors around the error of their map.
+Ellipses of 95 % contain 94 % of the true positions on 180 maps with errors of at most a spacing
+(benchmark `trust`, seeds 7001 to 7119).
 """
 
 
@@ -188,7 +188,7 @@ def extent_in_spacings(positions: NDArray[np.float64]) -> float:
 
 
 def regional_difference(differences: NDArray[np.float64], positions: NDArray[np.float64]) -> float:
-    """Return the RMS difference of two maps in regions that are each aligned, in spacings.
+    """Return the RMS difference of two maps in separately aligned regions, in spacings.
 
     differences, positions (n, k). A map of fewer than 6 sensors within 5 spacings is one region.
     """
@@ -215,7 +215,7 @@ def regional_difference(differences: NDArray[np.float64], positions: NDArray[np.
 def pooled(
     found: NDArray[np.float64], positions: NDArray[np.float64], count: int
 ) -> NDArray[np.float64]:
-    """Average values of each sensor over the nearest ones, itself included. found (n, k, k)."""
+    """Average values of each sensor over the nearest sensors and itself. found (n, k, k)."""
     nearest = KDTree(positions).query(positions, k=min(count, len(positions)))[1]
     return np.asarray(found[np.asarray(nearest)].mean(axis=1))
 
@@ -230,8 +230,8 @@ def with_systematic_errors(
 
     chance (n, k, k), differences (n, k), positions (n, k).
 
-    The mean of three shapes of equal size: that of chance, that of the differences from another map
-    around the sensor, and a sphere; scaled to the expected error, in spacings.
+    The result is the mean of three shapes of equal size, scaled to the expected error in spacings:
+    errors by chance, differences from another map around the sensor, and a sphere.
     """
     k = positions.shape[1]
     outer = pooled(np.einsum("ni,nj->nij", differences, differences), positions, _N_DIFFERENCES)

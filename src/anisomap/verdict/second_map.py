@@ -1,9 +1,9 @@
 """The second map of a verdict: sensors are placed by the numbers of steps between them.
 
-The steps are on a graph of adjacent sensors. They assume nothing of contacts, but that neighbours
-are equally far apart. Where they are not, the sensors are placed by the lengths of paths, which
-assume that contacts are equally long in all directions. Two further measurements compare halves of
-the recording, which have equal shares of what its sensors feel, and see sensors that pair off.
+Steps are counted on a graph of adjacent sensors. The map makes no assumption about contacts, but
+assumes equal distances between neighbours. If distances differ, path lengths are used, which assume
+that contacts are equally long in all directions. Two further measurements compare halves of the
+recording with equal shares of the stimulation, and detect sensors that form pairs.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from anisomap.numerics.signals import some_sensors
 
 _MIN_SIMILARITY = 1e-3  # before -log S, chosen by hand: smaller values are indistinguishable from 0
 _RIDGE = 0.1  # of the partial correlations; .03 to 1 give similar maps
-_SLACK = 1.2  # by which a link may be weaker than the best path over one other; up to 1.5 as good
-# Maximum separation of neighbours over the longest step of the best path between them, in readings
-# and on a map, whose short distances are less reliable.
+_SLACK = 1.2  # factor by which a link may be weaker than a path over one sensor; up to 1.5 is equal
+# Maximum separation of neighbours relative to the longest step of the best path between them, in
+# readings, and on a map, where short distances are less reliable.
 _MAX_STEP_RATIO, _MAX_MAP_STEP_RATIO = 1.3, 1.7
 
 
@@ -87,25 +87,25 @@ def _without_detours(adjacent: NDArray[np.bool_], partial: Reals) -> NDArray[np.
     return np.asarray(kept | kept.T)
 
 
-_PARTING = 1e-3  # share of the distances on the map; far above rounding, far below a step
+_PARTING = 1e-3  # weight of distances on the map; far above rounding errors, far below a step
 
 
 MAX_VARIATION = 0.35
-"""Standard deviation of the distances to nearest neighbours over their mean, on a map of evenly
-spaced sensors: .03 to .35 on 57 good maps of lattices and farthest-point samples (seeds 21001 to
-21240), .30 to .65 on 23 maps of random places with errors below a spacing.
+"""Maximum relative standard deviation of distances to nearest neighbours on a map of evenly spaced
+sensors: .03 to .35 on 57 good maps of lattices and farthest-point samples (seeds 21001 to 21240),
+.30 to .65 on 23 maps of random places with errors below a spacing.
 """
 
 
 MAX_CROWDING, CROWD_RADIUS = 0.4, 1.7
-"""Standard deviation of the numbers of sensors within a radius, in spacings, over their mean, on a
-map in 3 dimensions, whose borders are short: at most .37 on 112 good maps of evenly spaced sensors,
-beyond it on 18 of 25 wrong ones with low expected errors (seeds 63001 to 63200, 66001 to 66400).
+"""Maximum relative standard deviation of numbers of sensors within a radius, in spacings, on a map
+in 3 dimensions, where borders are short: at most .37 on 112 good maps of evenly spaced sensors, and
+above it on 18 of 25 wrong maps with low expected errors (seeds 63001 to 63200, 66001 to 66400).
 """
 
 
 def spacing_varies(positions: NDArray[np.float64]) -> tuple[bool, bool]:
-    """Return whether a map, (n, k), is unevenly spaced, and more crowded in some places."""
+    """Return whether a map, (n, k), is unevenly spaced, and whether its density varies."""
     tree = KDTree(positions)
     nearest = np.asarray(tree.query(positions, k=2)[0])[:, 1]
     radius = CROWD_RADIUS * float(np.median(nearest))
@@ -117,10 +117,10 @@ def spacing_varies(positions: NDArray[np.float64]) -> tuple[bool, bool]:
 def differences_from_second_map(
     evidence: Evidence, positions: NDArray[np.float64], *, uneven: bool = False
 ) -> NDArray[np.float64]:
-    """Compare a map with that of the numbers of steps between sensors. positions (n, k) -> (n, k).
+    """Return differences from the map of numbers of steps. positions (n, k) -> (n, k).
 
-    uneven: Whether sensors are not evenly spaced: the lengths of paths then replace the steps.
-    After the best similarity transform; infinite if there is no such map.
+    uneven: Whether sensors are unevenly spaced: path lengths then replace the numbers of steps.
+    The maps are aligned by the best similarity; differences are infinite if there is no such map.
     """
     correlation, changes = evidence.correlation, evidence.rank_changes
     if median_spacing(positions) == 0 or correlation is None or changes is None:
@@ -130,8 +130,8 @@ def differences_from_second_map(
     else:
         graph = adjacency_graph(correlation, changes, positions)
         steps = shortest_path(csr_array(graph, dtype=np.float64), unweighted=True)
-    # Classical scaling as start: this map must not inherit a fold of the given one. Sensors with
-    # equal numbers of steps to all others would coincide there, and rounding would part them.
+    # The start is classical scaling, since this map must not inherit a fold of the given map.
+    # Sensors with equal numbers of steps to all others would coincide up to rounding.
     distances = cdist(positions, positions)
     parted = steps + _PARTING * (steps.sum() / distances.sum()) * distances
     k = positions.shape[1]
@@ -140,20 +140,20 @@ def differences_from_second_map(
 
 
 _N_SPLITS = 4
-_MAX_HALVED, _N_REGIONS = 100, 5  # sensors and their regions; 4,950 pairs determine a correlation
+_MAX_HALVED, _N_REGIONS = 100, 5  # sensors and regions; 4,950 pairs determine a correlation
 
 
 def agreement_of_halves(evidence: Evidence, rng: np.random.Generator) -> float:
     """Correlate the similarities of halves of the frames; NaN without readings.
 
-    A few strong frames can make all correlations. Resamples then repeat these frames, and agree;
-    two halves that divide them agree only about what is true of both.
+    A few strong frames can dominate all correlations. Resamples repeat these frames, and therefore
+    agree. Two halves that divide these frames agree only if correlations are equal in both.
 
-    Blocks of frames are ordered by energy, the sum of squared standardised readings, and one of
-    each pair of successive blocks goes to either half. What a sensor has in common with all others
-    is subtracted: an amplitude, a contact or a drift that all sensors share says nothing of places.
-    The result is the mean over several splits. Of many sensors, five and those most similar to each
-    are compared: distant ones have nothing in common.
+    Blocks of frames are ordered by energy, i.e. the sum of squared standardised readings, and each
+    pair of successive blocks is divided between the halves. The mean similarity of each sensor is
+    subtracted, since an amplitude, a contact or a drift common to all sensors is no evidence of
+    places. The result is the mean over several splits. Of many sensors, five sensors and the
+    sensors most similar to each are compared, since distant sensors have nothing in common.
     """
     if evidence.readings is None or evidence.scores is None:
         return math.nan
@@ -189,7 +189,7 @@ def _equal_halves(energies: NDArray[np.float64], rng: np.random.Generator) -> ND
 
 
 def _own(similarity: Reals) -> NDArray[np.float64]:
-    """Return what pairs have beyond the means of their sensors, (n, n); 0 on the diagonal."""
+    """Return similarities minus the means of both sensors, (n, n); 0 on the diagonal."""
     found = np.array(similarity, dtype=np.float64)
     n_sensors = len(found)
     np.fill_diagonal(found, 0)
@@ -208,19 +208,19 @@ def _cosine(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 _MIN_PAIRED = 8
 _MIN_GAP, _MIN_MUTUAL = 0.25, 0.7
-_GREATEST_R = 0.999  # correlations above it are not told apart
+_GREATEST_R = 0.999  # greater correlations are not distinguished
 
 
 def sensors_pair_off(similarity: ArrayLike) -> bool:
-    """Return whether most sensors resemble one other, and it them, far more than the next one.
+    """Return whether most sensors form pairs of far greater similarity than to other sensors.
 
     similarity (N, N): Correlations.
 
-    The limits are a median difference of .25 in Fisher's z, and 70 % of sensors whose most similar
-    sensor has them as its own. Sensors of a skin have several neighbours at nearly equal distances.
-    If a body touches itself at mirrored places, each sensor has a twin besides, which the readings
-    place beside it: of 19 such recordings, 8 exceed both limits, and none of 128 others with good
-    maps. Where no sensor is at the mirrored place, nothing shows.
+    The limits are a median difference of .25 in Fisher's z between the two most similar sensors,
+    and 70 % of sensors that are mutually most similar. Sensors of a skin have several neighbours at
+    nearly equal distances. If a body touches itself at mirrored places, the readings place each
+    sensor beside its mirror image: of 19 such recordings, 8 exceed both limits, and none of 128
+    others with good maps. Without sensors at the mirrored places, this cannot be detected.
     """
     found = np.array(similarity, dtype=np.float64)
     if len(found) < _MIN_PAIRED:

@@ -75,7 +75,7 @@ def find_hum(recording: Recording) -> Iterator[Found]:
         return
     sensors, spectra = recording.signals.spectra
     power = medians(spectra[:, np.isin(sensors, free)].T)
-    # The power of slow changes falls steeply: it is above that on one side of it, without a line.
+    # Without a line, the steep power of slow changes also exceeds the power on one side.
     beside = medians(np.lib.stride_tricks.sliding_window_view(power, _BESIDE).T)
     apart = _BESIDE + 2 * _GAP - 1
     clear = power[_BESIDE + _GAP - 1 :][: beside.size - apart]

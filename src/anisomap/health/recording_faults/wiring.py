@@ -200,15 +200,15 @@ def _confirmed(correlation: NDArray[np.float32], suspects: NDArray[np.bool_]) ->
 
 _MAX_BLOCKS = 16  # of a recording, an even number; it may change after every second one
 _MIN_FRAMES = 640  # with fewer, real insoles without a change are reported
-_MAX_COMPARED = 8192  # of which ranks are correlated
-_MIN_CONTACTS = 3  # of a sensor in each part that is compared, for a correlation
-_MIN_SENSORS = 8  # that have these contacts
-_MIN_REPEATED = 0.7  # median agreement of parts that chance divides: else sensors resemble nothing
-_MIN_KEPT, _LOST = 2 / 3, 1 / 2  # of this agreement: below, sensors count, and are named
+_MAX_COMPARED = 8192  # frames whose ranks are correlated
+_MIN_CONTACTS = 3  # minimum contacts of a sensor in each compared part, for a correlation
+_MIN_SENSORS = 8  # minimum number of sensors with these contacts
+_MIN_REPEATED = 0.7  # minimum median agreement of parts of blocks in random order
+_MIN_KEPT, _LOST = 2 / 3, 1 / 2  # shares of this agreement below which sensors count, and are named
 _MAX_REACH = 2.0  # ratio of the numbers of similar sensors: folding a skin doubles it at most
 _N_TYPICAL, _N_PERMUTATIONS = 9, 199  # orders of blocks: of the typical agreement, and of the test
-# By which the loss exceeds that of all orders, since places are not touched in random order; and
-# the least one, of half a sensor.
+# Minimum ratio of the loss to the loss in all orders, since places are not touched in random order;
+# and minimum loss, of half a sensor.
 _MARGIN, _LEAST_LOSS = 1.25, 0.3
 
 
@@ -216,17 +216,17 @@ def find_change(recording: Recording) -> Iterator[Found]:
     """Find sensors that resemble other sensors from some frame on.
 
     Wires were exchanged, or the body took another posture. Blocks of a recording are divided into
-    an earlier and a later part. A sensor loses as much as the agreement of its similarities to all
-    others in both parts falls short of two thirds of that in parts of blocks in random order. The
-    loss, summed over sensors, must clearly exceed that of each of 199 random orders. Depths are
-    counted from the rest of each eighth of the recording, since wires differ in their rest.
-    Recordings are not judged if sensors resemble many more others in one part: contacts were
-    larger.
+    an earlier and a later part. The agreement of a sensor is the correlation of its similarities
+    in both parts; its loss is the deficit relative to two thirds of the agreement for blocks in
+    random order. The loss, summed over sensors, must clearly exceed the loss for each of 199 random
+    orders. Depths are relative to rest in each eighth of the recording, since rest differs between
+    wires. Recordings with clearly larger contacts in one part, in which sensors resemble many more
+    others, are not judged.
     """
     chosen = some_sensors(recording.n_sensors)
     step = -(-recording.n_frames // _MAX_COMPARED)
     readings = recording.readings[::step][:, chosen]
-    # Blocks that share contacts are more alike than in random order.
+    # Blocks that share contacts are more similar than blocks in random order.
     n_blocks = 2 * (min(_MAX_BLOCKS, len(readings) // block_length(readings)) // 2)
     if recording.n_frames < _MIN_FRAMES or n_blocks < 4:
         return
@@ -241,10 +241,10 @@ def find_change(recording: Recording) -> Iterator[Found]:
         agreements = partial(_agreements, moments, judged)
         (found,) = agreements([np.arange(n_blocks) < division])
         least = _LEAST_LOSS if best is None else max(_LEAST_LOSS, best[0] * judged.size)
-        if _loss(found, 1.0) < least:  # whatever is typical, which is 1 at most
+        if _loss(found, 1.0) < least:  # the typical agreement is 1 at most
             continue
         orders = [rng.permutation(n_blocks) < division for _ in range(_N_PERMUTATIONS)]
-        # The median of all is at most the greatest of more than half of them.
+        # The median of all orders is at most the maximum of more than half of them.
         some = agreements(orders[: _N_TYPICAL // 2 + 1])
         highest = some.max(axis=0)
         if _loss(found, highest) < least or np.median(highest) < _MIN_REPEATED:
@@ -252,7 +252,7 @@ def find_change(recording: Recording) -> Iterator[Found]:
         others = agreements(orders[len(some) : _N_TYPICAL])
         typical = np.median(np.concatenate([some, others]), axis=0)
         lost = judged[found < _LOST * typical]
-        if lost.size < 2:  # no sensor has all others about it exchanged: another posture
+        if lost.size < 2:  # no sensor has lost all its neighbours: another posture
             lost = judged[found < _MIN_KEPT * typical]
         loss = _loss(found, typical)
         unclear = lost.size < 2 or loss < least or np.median(typical) < _MIN_REPEATED
@@ -287,7 +287,7 @@ def _of_blocks(readings: NDArray[Any], n_blocks: int) -> tuple[Reals, NDArray[np
 def _agreements(
     blocks: Reals, sensors: NDArray[np.intp], orders: Sequence[NDArray[np.bool_]]
 ) -> Reals:
-    """Correlate similarities of n sensors in some blocks and in the others, (orders, n)."""
+    """Correlate similarities of n sensors in some blocks and in all others, (orders, n)."""
     found = []
     shares = np.array(orders, blocks.dtype) @ blocks.reshape(len(blocks), -1)
     total = blocks.sum(axis=0)
@@ -303,7 +303,7 @@ def _agreements(
 
 
 def _ratio_of_reach(blocks: Reals, sensors: NDArray[np.intp], division: int) -> float:
-    """Return the ratio of the numbers of sensors that one resembles in two parts."""
+    """Return the ratio of the numbers of similar sensors of a sensor in two parts."""
     parts = (_correlation(one.sum(axis=0), sensors) for one in np.split(blocks, [division]))
     similar = [np.median((np.maximum(r[sensors], 0) ** 2).sum(axis=1)) for r in parts]
     return float(max(similar) / max(min(similar), 1e-12))
@@ -314,7 +314,7 @@ def _loss(agreement: Reals, typical: Reals | float) -> float:
 
 
 def _correlation(moments: Reals, sensors: NDArray[np.intp]) -> Reals:
-    """Correlate some sensors, given sums of products; 0 with others and with themselves."""
+    """Correlate some sensors, given sums of products; 0 for other pairs and the diagonal."""
     sums, count = moments[-1, :-1], moments[-1, -1]
     found = moments[:-1, :-1] - np.outer(sums, sums / count)
     scale = np.zeros_like(sums)

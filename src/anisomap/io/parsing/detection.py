@@ -1,6 +1,6 @@
-"""How the lines of a file are read: separators, header, text around numbers, and blocks.
+"""Detection of the layout of lines: separators, header, text around numbers, and blocks.
 
-All is decided by the first lines. See `anisomap.io.parsing.lines` for text around numbers.
+The first lines determine the layout. See `anisomap.io.parsing.lines` for text around numbers.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _MIN_BLOCKS, _MIN_NESTED, _TALL = 3, 2, 128
 # A cell of two numbers with a comma may be one number with a decimal comma.
 _MIN_LISTED = 3
 _MAX_UNIT = 12  # characters
-# Change from line to line of a block, relative to that from block to block. Matrices have 2.3 where
-# frames follow each other and .5 where they do not; recordings of presses .25 (simulated).
+# Change between lines of a block, relative to change between blocks: 2.3 for matrices of successive
+# frames, .5 for other matrices, and .25 for recordings of presses (simulated).
 _CONTINUOUS = 0.4
 _DIGITS = re.compile(r"\d+")
 _RULE = re.compile(r"[+|\s]*(?:=[=+|\s]+|-{2}[-+|\s]+)")
@@ -60,10 +60,10 @@ _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 
 
 def count_preamble(sample: Sequence[str], *, padded: bool = False) -> int:
-    """Count the lines of metadata above some equal rows of numbers, wider than the first line.
+    """Count the lines of metadata above equal rows of numbers that are wider than the first line.
 
-    padded: Whether empty cells follow the text of such a line, as spreadsheets write them; a header
-        must be below.
+    padded: Whether empty cells follow the text of such a line, as in spreadsheets; a header must be
+        below.
     """
     top = sample[:_MAX_PREAMBLE]
     for delimiter in DELIMITERS[:-1] if padded else DELIMITERS:
@@ -99,8 +99,8 @@ def _is_numeric(line: str, delimiter: str | None) -> bool:
 def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = None) -> Table:
     """Detect the layout of a file of numbers; `n_columns` is 0 if there is no line of numbers.
 
-    Files of anisomap, with their own delimiter, have a header and nothing but numbers below. In
-    others, text may stand around the numbers: see `anisomap.io.parsing.lines`.
+    Files of anisomap, with their own delimiter, have a header and only numbers below. Other files
+    may contain text around the numbers: see `anisomap.io.parsing.lines`.
     """
     if own_delimiter:
         return replace(_find_columns(path, sample, 0, own_delimiter), ended=True)
@@ -125,7 +125,7 @@ def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = No
 
 
 def _with_header(sample: Sequence[str]) -> Sequence[str]:
-    """Uncover a header in a comment: the last line with a mark above the first without one."""
+    """Uncover a header in a comment: the last comment line above the first line of data."""
     marked = [*itertools.takewhile(lambda line: _COMMENT.match(line) or not line.strip(), sample)]
     if not 0 < len(marked) < len(sample):
         return sample
@@ -145,7 +145,7 @@ def _with_header(sample: Sequence[str]) -> Sequence[str]:
 def _find_columns(
     path: Path, sample: Sequence[str], preamble: int, own_delimiter: str | None
 ) -> Table:
-    """Find the columns of a table below its header, or of lines with text in between."""
+    """Find the columns of a table below its header, or of lines with text between numbers."""
     delimiter = own_delimiter or find_delimiter(sample)
     framed = delimiter == "|" and sum(s.lstrip()[:1] == "|" for s in sample) > len(sample) / 2
     if framed:
@@ -221,7 +221,7 @@ def _clean(delimiter: str | None, n_trailing: int, line: str, *, framed: bool = 
 def _columns_of(
     rows: Sequence[Sequence[str]], every: Sequence[Sequence[str]], fits: Callable[[str], bool]
 ) -> tuple[int, ...]:
-    """Find the columns whose cells below the first record all fit, if there are at least two."""
+    """Find at least two columns in which all cells below the first record fit."""
 
     def fitting(some: Sequence[Sequence[str]], columns: Iterable[int]) -> list[int]:
         cells = ((i, [r[i] for r in some if i < len(r) and not is_missing(r[i])]) for i in columns)
@@ -238,7 +238,7 @@ def _text_columns(
     rows: Sequence[Sequence[str]],
     clocks: Sequence[int],
 ) -> tuple[int, ...]:
-    """Find columns that hold text and no number below the first record, which may be a header."""
+    """Find columns with only text below the first record, which may be a header."""
     found = _columns_of(
         rows, every, lambda c: not is_number(c, delimiter) and (is_label(c) or is_list(c))
     )
@@ -252,7 +252,7 @@ def _text_columns(
 def _holds_text(
     rows: Sequence[Sequence[str]], skipped: Sequence[int], delimiter: str | None
 ) -> bool:
-    """Return whether cells hold text around numbers, or no cell below the first row is a number.
+    """Return whether cells contain text around numbers, or no cell below the first is a number.
 
     skipped: Columns of text. Names with digits in them (``S01``) may be values (``A12 B7``), unless
     a header names their column.
@@ -270,7 +270,7 @@ def _holds_text(
 
 
 def _find_objects(path: Path, sample: Sequence[str]) -> Table | None:
-    """Find lines that hold an object of JSON each; the first line may be cut."""
+    """Find lines that contain one JSON object each; the first line may be cut off."""
     filled = [each for each in enumerate(sample, start=1) if not is_apart(each[1])]
     for start in range(min(2, len(filled))):
         if objects := as_objects([line for _, line in filled[start : start + 2]]):
@@ -315,7 +315,7 @@ def _of_lines(
     convert: Callable[[str], str],
     n_headers: int = 0,
 ) -> Table:
-    """Return the layout of the lines from `start` on, of those that are not skipped."""
+    """Return the layout of the lines from `start` that are not skipped."""
     number = filled[start][0]
     above = [quote(line.strip()) for _, line in filled[: start - n_headers]]
     return Table(
@@ -332,7 +332,7 @@ def _of_lines(
 
 
 def _filled(convert: Callable[[str], str]) -> Callable[[str], str]:
-    """Return what converts lines, and leaves those that are skipped."""
+    """Return a function that converts lines, except skipped lines."""
     return lambda line: "" if is_apart(line) else convert(line.partition("#")[0])
 
 
@@ -341,17 +341,17 @@ def _is_clock(cell: str) -> bool:
 
 
 def is_list(cell: str) -> bool:
-    """Return whether a cell holds a list of at least three numbers and no other text."""
+    """Return whether a cell contains a list of at least three numbers and no other text."""
     return len(listed(cell)) >= _MIN_LISTED and all(map(is_number, listed(cell)))
 
 
 def listed(cell: str) -> list[str]:
-    """Return what separators and brackets divide in a cell."""
+    """Split a cell at separators and brackets."""
     return [field for field in _BETWEEN.split(cell) if field]
 
 
 def _are_row_names(body: Sequence[Sequence[str]]) -> bool:
-    """Return whether the first column holds row names, whose header R and pandas leave out."""
+    """Return whether the first column contains row names, whose header R and pandas omit."""
     first = [row[0] for row in body]
     count = _MIN_UNIFORM_ROWS
     numbered = any(first == [str(k + i) for k in range(len(body))] for i in (0, 1))
@@ -369,10 +369,10 @@ def _are_units(row: Sequence[str], following: Sequence[str], delimiter: str | No
 
 
 def _count_apart(body: Sequence[Sequence[str]]) -> int:
-    """Count rows below a header that are no readings: numbers, places or gains of the sensors.
+    """Count rows below a header that are not readings: numbers, places or gains of the sensors.
 
-    They count, are two rows of a lattice, or have decimals where all others have none, or the other
-    way round.
+    Such rows count, are two rows of a lattice, or have decimals while all others have none, or vice
+    versa.
     """
     if len(body) < _MIN_COMPARED or len(body[0]) < _MIN_PLACES:
         return 0
@@ -392,7 +392,7 @@ def _count_apart(body: Sequence[Sequence[str]]) -> int:
 
 
 def _are_numbers_of(header: Sequence[str], row: Sequence[str]) -> bool:
-    """Return whether a row numbers columns of the same name, as a second header of pandas does."""
+    """Return whether a row numbers columns of equal names, like a second header of pandas."""
     counts = Counter(name for name in header if name.strip())
     numbers = [number for name, number in zip(header, row, strict=False) if name.strip()]
     if len(header) != len(row) or not counts or min(counts.values()) < 2:
@@ -402,7 +402,7 @@ def _are_numbers_of(header: Sequence[str], row: Sequence[str]) -> bool:
 
 
 def _find_nested(path: Path, sample: Sequence[str]) -> Table | None:
-    """Find frames whose brackets go on over several lines, as printed arrays do."""
+    """Find frames whose brackets span several lines, as in printed arrays."""
     lines = [line for line in sample if not is_skipped(line)]
     first = next((i for i, line in enumerate(lines) if depth_of(line) > 0), None)
     if first is None or first > _MIN_UNIFORM_ROWS or lines[first].lstrip()[:1] == "{":
@@ -446,7 +446,7 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
     parts = [(apart, [*lines]) for apart, lines in itertools.groupby(sample, divides)]
     groups = [lines for apart, lines in parts if not apart]
     between = [lines for apart, lines in parts[1:-1] if apart]
-    # Neither words nor empty lines are evidence alone: a board may say something now and then.
+    # Words or empty lines alone are no evidence: a board may send occasional messages.
     marked = all(len({*map(is_apart, lines)}) > 1 for lines in between)
     whole = groups[:-1] if len(groups) > _MIN_BLOCKS else groups  # the last one may be cut short
     heights = set(map(len, whole))
@@ -478,7 +478,7 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
 
 
 def _doubt_of(blocks: NDArray[np.float64]) -> str:
-    """Return what to ask if blocks, (t, rows, columns), may be recordings instead of frames."""
+    """Return a question if blocks, (t, rows, columns), may be recordings instead of frames."""
     changes = [float(np.nanmean(np.abs(np.diff(blocks, axis=axis)))) for axis in (0, 1)]
     if changes[1] >= _CONTINUOUS * changes[0]:
         return ""

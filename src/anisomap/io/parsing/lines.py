@@ -1,9 +1,9 @@
-"""Lines that hold more than numbers and separators: what stays the same in them, and what varies.
+"""Lines that contain more than numbers and separators: constant text and varying numbers.
 
 A line is text with numbers in between: ``10:00:00.020 -> 0, 12``, ``[0 12]``, ``S0:0 S1:12`` or
-``{"t": 3, "p": [0, 12]}``. The text of the first lines is the template of all: each number that
-varies is a value, and a number that is part of a label (``S0:``, ``sensor 3 =``) is text. A line
-with another text does not fit.
+``{"t": 3, "p": [0, 12]}``. The text of the first lines is the template of all lines: each number
+that varies is a value, and a number in a label (``S0:``, ``sensor 3 =``) is text. A line with
+different text does not fit.
 """
 
 from __future__ import annotations
@@ -52,24 +52,24 @@ _ID = re.compile(r".*\.\d+\.(?:id|idx|index|taxel|sensor|channel)")  # of object
 _LISTED = re.compile(r"[\s,;]+")
 _COMMA, _NUMBER = re.compile(r"\d,\d"), re.compile(r"(?<!\w)\d")
 _LOOKED_AT = 400  # lines
-_MIN_VALUES, _MIN_SHARE = 2, 0.5  # of the lines looked at, that fit
+_MIN_VALUES, _MIN_SHARE = 2, 0.5  # values; share of the examined lines that fit
 PREFIX = "prefix"
 """Name of a number without a name before the values, such as ``17: 0, 12``."""
 _SEPARATORS, _MARKS = re.compile(r"[,;|\t]"), re.compile(r"[:=>]")
 
 
 class MisfitError(ValueError):
-    """A line does not fit the lines before it."""
+    """A line does not fit the preceding lines."""
 
 
 @dataclass(frozen=True)
 class Template:
-    """The text of a line, from which its values are told; calling it returns a line of numbers.
+    """The constant text of lines; a call converts a line to numbers.
 
-    texts: What precedes each token, and follows the last, without blanks.
-    fixed: The tokens that are part of the text, by index.
-    names: Names of the values; empty where the text gives none.
-    clocks: The values that are dates or times of the day, by index.
+    texts: Text before each token, and after the last, without blanks.
+    fixed: Indices of the tokens that are part of the text.
+    names: Names of the values; empty if the text contains none.
+    clocks: Indices of the values that are dates or times of the day.
     """
 
     texts: tuple[str, ...]
@@ -116,7 +116,7 @@ def _split(line: str, decimal: str) -> tuple[tuple[str, ...], list[str]]:
     """Return the texts around the tokens of a line, without blanks, and the tokens."""
     raw, tokens = _raw_split(line, decimal)
     texts = ["".join(text.split()) or (" " if text else "") for text in raw]
-    # The brackets around a whole table are at the ends of its first and last lines only.
+    # Brackets around a whole table occur only in its first and last lines.
     texts[0], texts[-1] = texts[0].lstrip("[(").strip(), texts[-1].rstrip("]),;").strip()
     return tuple(texts), tokens
 
@@ -131,12 +131,12 @@ def _raw_split(line: str, decimal: str) -> tuple[list[str], list[str]]:
 
 
 def find_template(lines: Sequence[str]) -> Template | None:
-    """Find the template of lines with text between the numbers; None if most have another one."""
+    """Find the template of lines with text between the numbers; None if most do not fit it."""
     lines = lines[:_LOOKED_AT]
     marks = ".," if any(map(_COMMA.search, lines)) else "."  # decimal marks to try
     found = (_template(lines, decimal) for decimal in marks)
     plain, comma = ((each or (0.0, set(), None)) for each in [*found, None][:2])
-    # Decimal commas leave a single separator where commas and others alternate.
+    # With decimal commas, a single separator remains where commas and others alternate.
     commas = comma[0] >= plain[0] and len(comma[1]) < len(plain[1])
     if commas and not any(_BRACKETS.search(text) for text in comma[1]):
         return comma[2]
@@ -159,7 +159,7 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
         return None
     columns = list(zip(*alike, strict=True))
     stamped = parse_clock(columns[0][0]) is not None and raw[1].isspace() and raw[1] not in raw[2:]
-    if not stamped and not "".join(raw).strip(" ,;|\t"):  # a table, of which some cells are wrong
+    if not stamped and not "".join(raw).strip(" ,;|\t"):  # a table with some wrong cells
         return None
     clocks = frozenset(
         i
@@ -204,7 +204,7 @@ def _is_glued(raw: Sequence[str], i: int) -> bool:
 def _names(
     raw: Sequence[str], columns: Sequence[Any], fixed: dict[int, str], clocks: frozenset[int]
 ) -> tuple[str, ...]:
-    """Return a name for each value; values after a named one that have none are its list."""
+    """Return a name for each value; values without a name are a list of the preceding name."""
     names, text = list[str](), ""
     for i in range(len(columns)):
         text += raw[i]
@@ -234,7 +234,7 @@ def _names(
 
 
 def as_objects(lines: Sequence[str]) -> tuple[tuple[str, ...], Callable[[str], str]] | None:
-    """Return the names of the numbers in lines of JSON objects, and what reads such a line."""
+    """Return the names of the numbers in lines of JSON objects, and a function to read a line."""
     first = _flat(lines[0]) if lines else None
     if not first or any(_flat(line) is None for line in lines[1:2]):
         return None
@@ -252,7 +252,7 @@ def as_objects(lines: Sequence[str]) -> tuple[tuple[str, ...], Callable[[str], s
 
 
 def _flat(line: str) -> dict[str, str] | None:
-    """Return the numbers and clocks of a JSON object by name, those of lists by index."""
+    """Return the numbers and clocks of a JSON object by name; items of lists by index."""
     with suppress(ValueError, RecursionError):
         found = json.loads(line)
         if isinstance(found, dict):

@@ -36,11 +36,11 @@ _LEAST_NANOSECONDS = 1e5  # in the first frames; readings are smaller
 
 @dataclass(frozen=True)
 class Roles:
-    """Columns that are not sensors, by index from 0; `guessed` are those with an unusual name.
+    """Columns that are not sensors, by index from 0; `guessed`: columns with an unusual name.
 
-    per_second: Units of `time` per second, such as 1000 for milliseconds; `doubt` says what is
-        doubtful about them.
-    nanoseconds: The column of the rest of a time in whole seconds, as stamps of ROS have.
+    per_second: Units of `time` per second, such as 1000 for milliseconds; `doubt` describes doubts
+        about the unit.
+    nanoseconds: The column of nanoseconds in addition to whole seconds, as in ROS stamps.
     """
 
     time: int | None = None
@@ -86,9 +86,8 @@ def with_kept(
 ) -> tuple[tuple[str, ...], Roles]:
     """Return names, and roles without columns that are kept as sensors by a name or a range.
 
-    Indices and patterns are those of sensors. Without a header, columns of time or a counter are
-    called ``column 1``, as in messages, and the others ``s0``, ``s1``, ... Columns of text cannot
-    be kept.
+    Indices and patterns refer to sensors. Without a header, columns of time or a counter are called
+    ``column 1``, as in messages, and all others ``s0``, ``s1``, ... Columns of text cannot be kept.
     """
     own = names
     if not own:
@@ -110,7 +109,7 @@ _SECONDS, _NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs
 
 
 def _find_stamps(header: Sequence[str], table: NDArray[np.float64]) -> list[tuple[int, int]]:
-    """Find columns of whole seconds, and of nanoseconds that are named alike."""
+    """Find columns of whole seconds, and columns of nanoseconds with similar names."""
     found: dict[tuple[str, ...], dict[bool, int]] = {}
     for i, name in enumerate(header):
         *before, unit = words_of(name) or [""]
@@ -127,10 +126,10 @@ def _is_stamp(pair: NDArray[np.float64]) -> bool:
 
 
 def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
-    """Find the columns of time, of which the first counts, and of a frame counter by name.
+    """Find the columns of time, the first of which is used, and of a frame counter by name.
 
-    A column that increases is guessed to be time if its name has a time word (``host_time``), and
-    time or counter if it is the first and named unlike all later ones (``s0``, ``s1``).
+    An increasing column is assumed to be time if its name has a time word (``host_time``), and time
+    or counter if it is the first and its name differs from all later ones (``s0``, ``s1``).
 
     table (t, n_columns).
     """
@@ -195,7 +194,7 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
 
 
 def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
-    """Warn about columns without a known name that are taken as time or counter, and of units."""
+    """Warn about columns with unknown names that are assumed to be time or counter, and units."""
     if roles.doubt:
         warn(path, f"column {(roles.time or 0) + 1}: {roles.doubt}")
     for column in roles.guessed:
@@ -206,7 +205,7 @@ def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:
 
 
 def _is_counter(column: NDArray[np.float64]) -> bool:
-    """Return whether a column holds integers that mostly increase; restarts are allowed."""
+    """Return whether a column contains mostly increasing integers; restarts are allowed."""
     steps = np.diff(column)
     mostly = not steps.size or bool(np.mean(steps > 0) >= _MIN_STEADY_FRACTION)
     return _is_whole(column) and mostly

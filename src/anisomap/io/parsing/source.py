@@ -31,7 +31,7 @@ _ERRORS = re.compile(r"#(?:N/A|(?:VALUE|DIV/0|NUM|REF|NULL)!|NAME\?)")  # of spr
 
 
 class RefusedError(FileError):
-    """Lines that can be read, but not as they are meant: without some, they are meant no better."""
+    """Lines that can be read, but not with the intended meaning, even if some are left out."""
 
 
 _SAID: ContextVar[list[tuple[str, str]] | None] = ContextVar("said", default=None)
@@ -39,7 +39,7 @@ _SAID: ContextVar[list[tuple[str, str]] | None] = ContextVar("said", default=Non
 
 @contextmanager
 def said_here() -> Iterator[list[tuple[str, str]]]:
-    """Collect files and what `warn` says of them in this thread, instead of warning."""
+    """Collect files and messages of `warn` in this thread, instead of warning."""
     said = list[tuple[str, str]]()
     token = _SAID.set(said)
     try:
@@ -49,7 +49,7 @@ def said_here() -> Iterator[list[tuple[str, str]]]:
 
 
 def warn(path: Path | str, problem: str) -> None:
-    """Warn about a file, of which the map or recording is used all the same."""
+    """Warn about a file whose map or recording is used nevertheless."""
     if (said := _SAID.get()) is not None:
         said.append((str(path), printable(problem)))
         return
@@ -79,10 +79,10 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _MAX_QUOTED = 40
 
 _LINE_BYTES = 300
-"""Memory of a line of a table and its fields; the sizes of the objects in CPython."""
+"""Memory of a line of a table and its fields, by sizes of objects in CPython."""
 
 _MAX_LINE = 1 << 23
-"""Characters: a line of the readings or the names of a million sensors is shorter."""
+"""Maximum characters of a line: readings or names of a million sensors are shorter."""
 
 
 @contextmanager
@@ -144,7 +144,7 @@ def _open(path: Path) -> Iterator[tuple[io.BufferedReader, io.BufferedReader]]:
 class TextLines(io.TextIOWrapper):
     """UTF-8 text whose lines have a maximum length when it is iterated.
 
-    last, number: The last line that was read, and its number from 1.
+    last, number: The last line read, and its number from 1.
     """
 
     def __init__(self, path: Path, stream: io.BufferedReader, raw: io.BufferedReader) -> None:
@@ -175,7 +175,7 @@ def plain(line: str) -> str:
 
 
 def binary_lines(path: Path, stream: io.BufferedReader) -> Iterator[bytes]:
-    """Yield the lines of a file; raise FileError for one that is too long."""
+    """Yield the lines of a file; raise FileError if a line is too long."""
     while line := stream.readline(_MAX_LINE):
         if len(line) == _MAX_LINE:
             raise _long_line(path)
@@ -225,7 +225,7 @@ def _budgeted(path: Path, lines: Iterator[Line]) -> Iterator[Line]:
 def batches(
     items: Iterator[Item], weigh: Callable[[Item], int], limit: int
 ) -> Iterator[list[Item]]:
-    """Group items until they weigh as much as a limit; those before an error come before it."""
+    """Group items up to a limit of total weight; items before an error are yielded first."""
     held, weight = list[Item](), 0
     try:
         for item in items:
@@ -255,7 +255,7 @@ def read_head(path: Path) -> bytes:
 
 
 def lines_of(head: bytes) -> list[str]:
-    """Return the lines of the first bytes of a text, with their ends; none of binary data."""
+    """Return the lines of the first bytes of a text, with their ends; none for binary data."""
     if b"\0" in head:
         return []
     return head.decode("utf-8-sig", "replace").splitlines(keepends=True)
@@ -285,7 +285,7 @@ def quote_if_needed(name: str) -> str:
 
 
 def _undecodable(path: Path) -> str:
-    """Locate the first byte that is not UTF-8, unless it is in a folder or behind damage."""
+    """Locate the first byte that is not UTF-8, unless it is in a folder or after damage."""
     if path.is_dir():
         return ""
     with suppress(*GZIP_ERRORS), open_binary(path) as stream:
@@ -301,7 +301,7 @@ _OBJECT_BYTES = 24
 """Memory of the objects per character of their text (measured: empty lists; CPython 3.11)."""
 
 _FREE_PARTS, _PART_CHARACTERS = 1 << 19, 10
-"""Lists and objects that any file may hold, and the characters of each beyond that number; the
+"""Lists and objects allowed in any file, and minimum characters of each beyond that number; the
 shortest sensor of a map has 21 for its two."""
 
 

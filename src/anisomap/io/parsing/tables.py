@@ -1,4 +1,4 @@
-"""Tables of text: how fields are separated, which columns they have, and what their cells hold.
+"""Tables of text: separators of fields, columns, and contents of cells.
 
 Cells are numbers, words for missing values, clocks, names or formulas.
 """
@@ -34,7 +34,7 @@ from anisomap.io.parsing.source import (
     warn_of_loss,
 )
 
-# Limits memory for very wide tables; columns are told apart by at least eight rows.
+# Limits memory for very wide tables; kinds of columns are determined by at least eight rows.
 _MIN_FIRST_ROWS, _MAX_FIRST_CELLS = 8, 1 << 22
 _MAX_TOGETHER = 1 << 23  # characters of the lines of a frame
 _BLOCK_CHARACTERS, _LEAST_PER_LINE = 1 << 22, 1 << 13  # so that blocks have at most 512 lines
@@ -52,10 +52,10 @@ _ROW = re.compile(r"[^\s,;|][\s,;|]+[^\s,;|]")
 _WORD = re.compile(r"\s*[^\W\d_][\w/]*")
 
 SUM = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}){1,4}")
-"""What matches a checksum in hexadecimal digits."""
+"""Pattern of a checksum in hexadecimal digits."""
 
 FORMULA_STARTS = (*"=+-@\t\r", *"\uff1d\uff0b\uff0d\uff20")
-"""First characters of a cell that spreadsheets take for a formula, some in full width."""
+"""First characters of a cell that spreadsheets treat as a formula, some in full width."""
 
 
 def is_missing(cell: str) -> bool:
@@ -64,7 +64,7 @@ def is_missing(cell: str) -> bool:
 
 
 def parse_number(cell: str, delimiter: str | None = ",") -> float:
-    """Parse a number as numpy does, with a decimal comma too unless commas separate the fields."""
+    """Parse a number as numpy does; also with a decimal comma, unless commas separate fields."""
     text = (cell if delimiter == "," else cell.replace(",", ".")).strip()
     if text.lower() in MISSING:
         return math.nan
@@ -104,14 +104,14 @@ _REMEDIES = {
 
 
 def remedy_of(cell: str) -> str:
-    """Say what to do about a cell that is no number; empty if that is not known."""
+    """Return advice about a cell that is not a number; empty if there is none."""
     text = cell.strip().lower()
     found = (remedy for form, remedy in _REMEDIES.items() if re.fullmatch(form, text))
     return "".join(f"; {remedy} in the file" for remedy in itertools.islice(found, 1))
 
 
 def guard_formula(name: str) -> str:
-    """Precede a name that a spreadsheet would run as a formula with one more apostrophe."""
+    """Prefix a name that a spreadsheet would run as a formula with an apostrophe."""
     if len(name) >= csv.field_size_limit():
         raise InputError(f"a name of {len(name)} characters is too long for delimited text")
     return f"'{name}" if name.lstrip("'").startswith(FORMULA_STARTS) else name
@@ -125,7 +125,7 @@ def unguard_formula(field: str) -> str:
 
 NO_NUMBER = "is not a number"
 
-_GOOD_PER_BAD = 100  # lines of a log beside each one that is left out
+_GOOD_PER_BAD = 100  # lines of a log per line that is left out
 
 
 class LineError(FileError):
@@ -137,14 +137,14 @@ class LineError(FileError):
 
 
 class HeaderError(LineError):
-    """A line of names below the first frame, as of a second recording."""
+    """A line of names below the first frame, such as of a second recording."""
 
 
 @dataclass
 class LeftOut:
-    """Lines that do not fit the others, up to 1 in 100, and always one.
+    """Lines that do not fit the others: up to 1 in 100, but at least one is allowed.
 
-    repeats: Whether the frame before takes the place of each, so that the frames keep their clock.
+    repeats: Whether each is replaced by the preceding frame, so that the frame rate is kept.
     """
 
     repeats: bool = False
@@ -160,7 +160,7 @@ class LeftOut:
             raise self.first
 
     def __str__(self) -> str:
-        """Say how many lines were left out, and show the first."""
+        """Return the number of lines left out, and the first of them."""
         reason = "" if self.first is None else self.first.reason
         place = "; the previous frame replaces each of them" if self.repeats else ""
         return f"left out lines: {self.n_left} of {self.n_lines}{place}: {reason}"
@@ -190,7 +190,7 @@ def read_undamaged(
     count: Callable[[Item], int] = lambda _: 1,
     quietly: bool = False,
 ) -> Iterator[Item]:
-    """Yield what is parsed before any damage or a truncated last line, and warn about the rest."""
+    """Yield parsed lines before any damage or a truncated last line, and warn about lost lines."""
     n_read = 0
     with open_text(path) as lines:
         try:
@@ -220,16 +220,16 @@ class Table:
     delimiter: None for any run of white space.
     because: Reason for `n_columns` in messages, such as ``"the header names 3"``.
     first_line: First line of numbers, from 1.
-    names: Of all columns; some may be empty.
+    names: Names of all columns; some may be empty.
     clean: Converts a line to numbers and delimiters; must keep the order of fields.
     clocks: Columns of dates and times of the day, which are read as seconds.
     block: Rows and columns of the blocks of lines that are frames: see `divides`.
-    nested: Whether brackets hold the lines of a frame together.
+    nested: Whether brackets enclose the lines of a frame.
     numeric: The delimiter of cleaned lines.
-    skipped: What was skipped above the first line.
-    above: Stripped lines above the first one, which a recorder that starts again writes again.
-    ended: Whether every line has a line end, so that one without is cut short.
-    doubt: What to ask if it is not clear how the file is meant.
+    skipped: Description of the contents skipped above the first line.
+    above: Stripped lines above the first one, which a recorder writes again after a restart.
+    ended: Whether every line has a line end, so that a line without an end is truncated.
+    doubt: Question to the user if the meaning of the file is not clear.
     """
 
     path: Path
@@ -250,7 +250,7 @@ class Table:
     doubt: str = ""
 
     def is_skipped(self, line: str) -> bool:
-        """Return whether a line holds no frame."""
+        """Return whether a line contains no frame."""
         return is_apart(line) if self.numeric else is_skipped(line, self.delimiter)
 
     @property
@@ -266,7 +266,7 @@ Numbered = tuple[int, str]
 def _single_lines(
     numbered: Iterable[Numbered], table: Table, *, quietly: bool
 ) -> Iterator[Numbered]:
-    """Yield the lines, but for those that repeat one above the first."""
+    """Yield the lines, except repetitions of lines above the first."""
     again = list[int]()
     for number, line in numbered:
         if table.ended and not line.endswith(("\n", "\r")):
@@ -282,7 +282,7 @@ def _single_lines(
 
 
 def numbered_from(lines: Iterable[str], table: Table) -> Iterator[Numbered]:
-    """Yield the lines from the first of numbers on, with their numbers from 1."""
+    """Yield the lines from the first line of numbers, with line numbers from 1."""
     return itertools.islice(enumerate(lines, start=1), table.first_line - 1, None)
 
 
@@ -327,7 +327,7 @@ def _clean_row(line: str, table: Table) -> str:
 
 
 def depth_of(line: str) -> int:
-    """Return how many brackets a line opens and does not close."""
+    """Return the number of brackets that a line opens and does not close."""
     return sum(map(line.count, "[({")) - sum(map(line.count, "])}"))
 
 
@@ -336,7 +336,7 @@ def read_blocks(
 ) -> Iterator[tuple[NDArray[np.float64], float]]:
     """Read frames in blocks, each with the fraction of the file read so far.
 
-    Comments begin with ``#``; an empty field is NaN. The rest after damage is dropped as above, and
+    Comments begin with ``#``; an empty field is NaN. Lines after damage are dropped as above, and
     lines that do not fit are left out: see `LeftOut`.
     """
 
@@ -362,7 +362,7 @@ def read_blocks(
 
 
 def is_short(lines: Sequence[str]) -> bool:
-    """Return whether the last number of the last line has fewer characters than all before."""
+    """Return whether the last number of the last line has fewer characters than in all others."""
     *before, last = (len(line.rstrip()) - len(line.rstrip().rstrip(_DIGITS)) for line in lines)
     return len(before) >= _MIN_FIRST_ROWS and last < min(before)
 
@@ -399,7 +399,7 @@ def is_skipped(line: str, delimiter: str | None = None) -> bool:
 
 
 def is_apart(line: str) -> bool:
-    """Return whether a line without a number or text divides frames: ``""``, ``#``, ``-----``."""
+    """Return whether a line without numbers and text divides frames: ``""``, ``#``, ``-----``."""
     return is_skipped(line) or not any(map(str.isalnum, line))
 
 
@@ -435,7 +435,7 @@ _WORDS = "|".join(re.escape(word) for word in sorted(MISSING - {""}, key=len, re
 
 @functools.cache
 def _missing_in(delimiter: str | None) -> re.Pattern[str]:
-    """Return what matches words for missing values, and empty fields, between delimiters."""
+    """Return a pattern of words for missing values, and empty fields, between delimiters."""
     mark = re.escape(delimiter) if delimiter else r"\s"
     blank = r"[^\S\t\r\n]*" if delimiter else ""
     words = f"(?:{_WORDS}|)" if delimiter else f"(?:{_WORDS})"
@@ -446,9 +446,9 @@ def _missing_in(delimiter: str | None) -> re.Pattern[str]:
 def parsed(
     lines: list[Numbered], table: Table, left: LeftOut, *, is_cut: bool = False
 ) -> Iterator[NDArray[np.float64]]:
-    """Yield the rows of some lines, those before a wrong line before its error.
+    """Yield the rows of some lines; rows before a wrong line are yielded before its error.
 
-    is_cut: Whether the last line may be cut short, which is an error of its own.
+    is_cut: Whether the last line may be truncated, which is a separate error.
     """
     block = np.empty((0, 0))
     with suppress(ValueError):
@@ -491,7 +491,7 @@ def _rows(
 
 
 def _parsers(table: Table) -> dict[int | str, Callable[[str], float]]:
-    """Return how columns are parsed that hold other than numbers."""
+    """Return the parsers of columns that contain other values than numbers."""
     found: dict[int | str, Callable[[str], float]] = dict.fromkeys(table.text_columns, _text_to_nan)
     return found | dict.fromkeys(table.clocks, parse_time)
 
@@ -524,7 +524,7 @@ def _row(line: str, table: Table, number: int) -> list[float]:
             values.append(parsers.get(column, parse_number)(field))
         except ValueError:
             name = quote_if_needed(table.names[column]) if table.names else ""
-            # Cleaning a line may change the number of its fields, such as that of "(1 2),3".
+            # Cleaning may change the number of fields in a line, such as "(1 2),3".
             originals = _fields(line, table.delimiter)
             original = (originals if len(originals) == len(fields) else fields)[column].strip()
             is_text = column in table.text_columns
@@ -599,7 +599,7 @@ def records(lines: Iterable[str], delimiter: str | None) -> Iterator[Record]:
 
 
 def find_delimiter(sample: Sequence[str]) -> str | None:
-    """Return the first delimiter that gives all records equally many fields, or splits most."""
+    """Return the first delimiter with which all records have equally many fields, or most."""
     splits = Counter[str | None]()
     for delimiter in DELIMITERS:
         first = itertools.islice(all_records(sample, delimiter), SAMPLE_RECORDS)

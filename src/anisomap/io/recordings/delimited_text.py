@@ -68,7 +68,7 @@ MAP_TITLE = "anisomap map"
 
 SIGNATURE = b"# anisomap "
 
-_MAX_NAME_LINES = 500  # of the lines from which the layout of a table is detected
+_MAX_NAME_LINES = 500  # maximum lines of names among lines for the detection of the layout
 _MAX_CLOCKS = 2  # columns that are a time or a frame counter
 _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
@@ -100,14 +100,14 @@ def recognises(path: Path, head: bytes) -> bool:
 
 
 def is_json_lines(path: Path, head: bytes) -> bool:
-    """Recognise two lines with an object of JSON each, which hold numbers."""
+    """Recognise two lines with one JSON object each that contains numbers."""
     lines = [line for line in lines_of(head) if line.strip()][:2]
     return len(lines) == 2 and as_objects(lines) is not None
 
 
 @contextmanager
 def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
-    """Open a recording in delimited text; its metadata names the columns that are no sensors."""
+    """Open a recording in delimited text; its metadata name the columns that are not sensors."""
     sample, known, metadata = _read_start(path)
     refuse_selection(f"{path} (delimited text)", options.select)
     table = layout_of(path, sample, known, options)
@@ -119,7 +119,7 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
 def layout_of(
     path: Path, sample: Sequence[str], known: Mapping[str, Scalar], options: ReadOptions
 ) -> Table:
-    """Find the layout of lines; raise FileError for those that are no table of frames."""
+    """Find the layout of lines; raise FileError unless they are a table of frames."""
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
     if not known:
         refuse_text(path, sample)
@@ -148,7 +148,7 @@ def stream_of(
     known: Mapping[str, Scalar] = MappingProxyType({}),
     metadata: Mapping[str, Scalar] = MappingProxyType({}),
 ) -> Stream:
-    """Create a stream of the sensors of a table, of a file or of lines that are still arriving.
+    """Create a stream of the sensors of a table, in a file or in lines that are being received.
 
     start: The first rows, (t, n_columns).
     read: Yields rows, and the fraction of the file read so far.
@@ -207,7 +207,7 @@ def stream_of(
 
 
 def _say(table: Table, sample: Sequence[str]) -> None:
-    """Warn of what is skipped, and of how a file is read that may be meant in another way."""
+    """Warn of skipped contents, and of the interpretation of an ambiguous file."""
     if table.text_columns:
         columns = join_items([_column_label(table, column) for column in table.text_columns])
         warn(table.path, f"skipped text in {columns}")
@@ -259,7 +259,7 @@ def header_text(
     metadata: Mapping[str, Scalar] | None = None,
     facts: Mapping[str, str] | None = None,
 ) -> str:
-    """Format the lines before those of the frames: a time, if `timed`, and the readings."""
+    """Format the lines before the frames: names of a time, if `timed`, and of the readings."""
     if sum(name.count("\n") for name in names) > _MAX_NAME_LINES:
         raise InputError("the names have too many line ends for a header of text; use .npz")
     fields = next(name for name, mark in _DELIMITERS.items() if mark == delimiter)
@@ -284,7 +284,7 @@ def _points_text(points: np.ndarray[Any, Any]) -> str:
 
 
 def _known_points(path: Path, known: Mapping[str, Scalar], n_sensors: int) -> dict[str, Any]:
-    """Parse the positions and normals of all sensors, (N, 2 or 3), which are comments."""
+    """Parse the positions and normals of all sensors, (N, 2 or 3), in comments."""
     found: dict[str, Any] = {}
     for key in _POINTS:
         if key in known:
@@ -314,7 +314,7 @@ def _read_start(path: Path) -> tuple[list[str], dict[str, Scalar], dict[str, Sca
 
 
 def detected_roles(table: Table, names: tuple[str, ...], start: NDArray[np.float64]) -> Roles:
-    """Find the columns that are no sensors, by their names and the first rows."""
+    """Find the columns that are not sensors, by names and by the first rows."""
     never = {*table.text_columns, *table.clocks}
     numeric = [i for i in range(table.n_columns) if i not in never]
     if all(names[i] for i in numeric) if names else False:
@@ -339,7 +339,7 @@ def detected_roles(table: Table, names: tuple[str, ...], start: NDArray[np.float
 
 
 def _rate_above(lines: Sequence[str]) -> float | None:
-    """Return the rate in Hz that lines above the first frame state, if they do."""
+    """Return the rate in Hz in lines above the first frame; None if there is none."""
     stated = (_RATE.search(line) for line in lines if not _OTHER_RATE.search(line))
     rates = (float(m[2]) * (1e3 if "khz" in m[0].lower() else 1) for m in stated if m)
     return next((rate for rate in rates if 0 < rate < _FASTEST_HZ), None)
@@ -348,9 +348,9 @@ def _rate_above(lines: Sequence[str]) -> float | None:
 def _without_frame_numbers(
     table: Table, roles: Roles, grid: tuple[int, int] | None, start: NDArray[np.float64]
 ) -> Roles:
-    """Take a first column that numbers frames of several rows as a counter, or ask for a grid.
+    """Treat a first column that numbers frames of several rows as a counter, or require a grid.
 
-    Raises RefusedError, too, if lines resemble earlier ones more than the line before.
+    Also raises RefusedError if lines resemble earlier lines more than the preceding line.
     """
     if table.block or table.nested:
         return roles
@@ -375,7 +375,7 @@ def _without_frame_numbers(
 
 
 def _without_unlike(table: Table, roles: Roles, rows: Sequence[Sequence[str]]) -> Roles:
-    """Leave out a first or last column with decimals where all others have none, or none itself."""
+    """Leave out a first or last column if it alone has decimals, or it alone has none."""
     left = [i for i in range(table.n_columns) if i not in roles.non_sensors]
     if len(rows) < _MIN_WRITTEN or len(left) <= _MIN_NUMBERED or table.block:
         return roles
@@ -430,7 +430,7 @@ def _blocks(
 
 @dataclasses.dataclass
 class _Fresh:
-    """Drops lines that were sent twice: equal to the line before, with its time, and few."""
+    """Drops lines that were sent twice: equal to the preceding line, including time, and few."""
 
     path: Path
     _before: Any = None
@@ -438,8 +438,8 @@ class _Fresh:
     _n_rows: int = 0
 
     def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rows, (t, n_columns), without those."""
-        bits = np.ascontiguousarray(rows).view(np.int64)  # in which NaN equals itself
+        """Return the rows, (t, n_columns), without such lines."""
+        bits = np.ascontiguousarray(rows).view(np.int64)  # NaN equals itself
         before = np.vstack([~bits[:1] if self._before is None else self._before, bits])
         same, self._before = (bits == before[:-1]).all(axis=1), before[-1:]
         first, self._n_rows = self._n_same == 0, self._n_rows + len(rows)
@@ -452,17 +452,17 @@ class _Fresh:
 
 @dataclasses.dataclass
 class _Present:
-    """Makes readings NaN that stand for missing ones, with a warning for each such number.
+    """Replaces numbers for missing readings by NaN, with a warning for each such number.
 
-    These are the ends of number types and repeated nines, beyond a gap from all other readings;
-    and -1 where no other is negative, if pressed sensors have it for a frame.
+    These are limits of number types and repeated nines, with a gap to all other readings; and -1 if
+    no other reading is negative, and pressed sensors have it for one frame.
     """
 
     path: Path
     names: Sequence[str]
     _low: float = np.inf
     _high: float = -np.inf
-    _seen: Any = False  # whether sensors had another reading: some may not be connected
+    _seen: Any = False  # whether sensors had other readings: some may not be connected
     _last: Any = None
     _n_falls: Any = 0
     _n_frames: int = 0
@@ -517,11 +517,11 @@ class _Present:
 
 @dataclasses.dataclass
 class MatrixRows:
-    """Lines that are the rows of a matrix, which a column numbers; each frame ends with the last.
+    """Lines that are rows of a matrix, numbered by a column; each frame ends with the last row.
 
-    Rows without a line are as in the frame before, and frames are left out that begin in between.
+    Missing rows are copied from the preceding frame; frames without a first row are left out.
 
-    columns: The column of these numbers, and those that number frames.
+    columns: The column of row numbers, and columns of frame numbers.
     """
 
     columns: tuple[int, ...]

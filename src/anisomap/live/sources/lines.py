@@ -1,4 +1,4 @@
-"""Lines of text as frames, which are read as files are: in the layout that the first lines have."""
+"""Lines of text as frames, read like files: the first lines determine the layout."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ from anisomap.io.stream import ReadOptions, doubt_of_rows
 from anisomap.live.batches import Batch, Item, Names, Notice
 
 MAX_LINE = 1 << 22
-"""Bytes; a longer line is no frame. A frame of 100,000 sensors in JSON has fewer."""
+"""Maximum bytes of a line that is a frame. A frame of 100,000 sensors in JSON has fewer."""
 
 MIN_SENSORS = 2
-"""Fewer numbers are no frame."""
+"""Minimum numbers in a frame."""
 
-_LOOKED_AT, LOOKED_AT_S = 100, 2.0  # lines, or time, from which the layout is found
+_LOOKED_AT, LOOKED_AT_S = 100, 2.0  # lines, or seconds, for the detection of the layout
 _MAX_HELD = 1000  # lines without a frame
 _LEAST_NAMES = 4  # of a header that is no other line
 _COMPARED = 50  # lines, with one that may be cut
-_MOST_UNREAD = 20  # lines that do not fit, one after the other, before a layout is found anew
-_MAX_BAD = 0.1  # of the lines from which the layout is found
-_WHERE = Path("the stream")  # in errors of readers of files
+_MOST_UNREAD = 20  # successive lines that do not fit, before the layout is detected again
+_MAX_BAD = 0.1  # share of the lines for the detection of the layout
+_WHERE = Path("the stream")  # in errors of file readers
 _OPTIONS_OF_FILES = re.compile(r"[;,] (?:give|choose with) --(?:keep|axis)[^;]*")
 
 
 class LineParser:
-    """Splits bytes into lines, and reads those as `anisomap.io` reads files.
+    """Splits bytes into lines, and reads lines as `anisomap.io` reads files.
 
-    Some lines are held until their layout is known: a header, a time, text around the numbers.
-    grid: Rows and columns of a frame, if each line holds a row, or all of it.
+    First lines are buffered until their layout is known: a header, a time, text around numbers.
+    grid: Rows and columns of a frame, if each line contains a row or a frame.
     """
 
     def __init__(self, grid: tuple[int, int] | None = None) -> None:
@@ -67,11 +67,11 @@ class LineParser:
         self._reader: _Reader | None = None
 
     def feed(self, content: bytes, *, complete: bool = False) -> Iterator[Item]:
-        """Parse the whole lines of the next bytes, and keep the rest."""
+        """Parse the whole lines in the next bytes, and keep the remaining bytes."""
         if self._after_return:
             content = content.removeprefix(b"\n")
         self._after_return = content.endswith(b"\r")
-        # The rest is only added to while no line ends: a line may come byte by byte.
+        # Bytes are only appended until a line ends, since a line may arrive byte by byte.
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         ended, end, rest = content.rpartition(b"\n")
         lines: list[bytes] = []
@@ -86,7 +86,7 @@ class LineParser:
         elif len(self._rest) > MAX_LINE:
             self._rest.clear()
             self._overlong = True
-        if lines and self._overlong:  # the end of a line of which the beginning was discarded
+        if lines and self._overlong:  # the end of a line whose beginning was discarded
             self._overlong = False
             del lines[0]
             yield Notice(f"ignored a line without a frame: it has more than {MAX_LINE} bytes")
@@ -97,11 +97,11 @@ class LineParser:
         yield from self._read(texts)
 
     def wait(self) -> Iterator[Item]:
-        """Parse the lines that are held, if nothing has followed them for long."""
+        """Parse the buffered lines, if no lines have followed for long."""
         yield from self._read([])
 
     def end(self) -> Iterator[Item]:
-        """Parse the lines that are held."""
+        """Parse the buffered lines."""
         yield from self._read([], ended=True)
 
     def _read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
@@ -109,7 +109,7 @@ class LineParser:
             yield from self._reader.read(lines, ended=ended)
             if not (lines := self._reader.others):
                 return
-            self._reader, self._n_filled = None, 0  # a board that started again with other names
+            self._reader, self._n_filled = None, 0  # a board that restarted with other names
             shown = quote(lines[0].strip())
             yield Notice(f"lines of another kind begin, with {shown}: they are read anew")
         self._since = self._since if self._n_filled else time.monotonic()
@@ -120,9 +120,9 @@ class LineParser:
             yield from self._found(waited, ended=ended)
 
     def _found(self, waited: float, *, ended: bool) -> Iterator[Item]:
-        """Find the layout of the lines that are held, and parse them."""
+        """Detect the layout of the buffered lines, and parse them."""
         problem, held = "", self._held
-        # The first lines may be of another kind: cut, or of a board that starts.
+        # The first lines may differ: they may be cut off, or from the start of a board.
         for start in dict.fromkeys((0, 1, len(held) // 2)):
             try:
                 with said_here() as said:
@@ -144,9 +144,9 @@ class LineParser:
 
 
 class _Reader:
-    """Reads lines that follow each other in the layout of the first ones.
+    """Reads successive lines in the layout of the first lines.
 
-    others: The lines from the first on that have another layout.
+    others: The lines from the first one with another layout.
     """
 
     def __init__(self, lines: Sequence[str], options: ReadOptions) -> None:
@@ -172,7 +172,7 @@ class _Reader:
             raise InputError("no line of two readings or more")
 
     def begin(self, waited: float, *, ended: bool = False) -> Iterator[Item]:
-        """Parse the first lines, which have arrived in some seconds."""
+        """Parse the first lines, which arrived within `waited` seconds."""
         if self._names:
             yield Names(self._names)
         for item in self.read([], ended=ended):
@@ -203,7 +203,7 @@ class _Reader:
             yield Notice(f"ignored lines without a frame: {self._n_told}, such as {self._bad}")
 
     def _look_again(self, readings: NDArray[np.floating]) -> Iterator[Notice]:
-        """Say that lines may be rows of frames, once more have come: at first, skins rest."""
+        """Yield a notice if lines may be rows of frames, once there are enough with contacts."""
         if self._n_seen < ROWS_LOOKED_AT:
             self._seen, self._n_seen = [*self._seen, readings], self._n_seen + len(readings)
             if self._n_seen >= ROWS_LOOKED_AT:
@@ -214,7 +214,7 @@ class _Reader:
                     yield Notice(f"{height} lines seem to be a frame: end the session, give {size}")
 
     def _rows(self, *, repeats: bool = False) -> Iterator[tuple[NDArray[np.float64], float]]:
-        """Yield the rows of the lines that have arrived, perhaps none, without an end."""
+        """Yield the rows of received lines, possibly none, indefinitely."""
         table, left = self._table, self._left
         left.repeats = repeats and self._has_grid  # of rows; others may be missing
         while True:
@@ -231,7 +231,7 @@ class _Reader:
             yield rows, 0.0
 
     def _whole_frames(self) -> list[Numbered]:
-        """Take the lines of the frames that are whole, each as one line."""
+        """Take the lines of complete frames, each as one line."""
         lines, table, n_whole, depth = self._pending, self._table, 0, 0
         for i, (_, line) in enumerate(lines):
             depth += depth_of(line) if table.nested else 0
@@ -259,5 +259,5 @@ def _parsed(lines: list[Numbered], table: Table, left: LeftOut) -> NDArray[np.fl
 
 
 def _notices(said: Sequence[tuple[str, str]]) -> Iterator[Notice]:
-    """Yield what readers of files have said, without options that live sessions lack."""
+    """Yield warnings of file readers, without options that live sessions lack."""
     yield from (Notice(_OPTIONS_OF_FILES.sub("", text)) for _, text in said)

@@ -175,7 +175,7 @@ def pull(force: Singles, points: Reals, pulled: Reals) -> None:
 
 @loop(fastmath=REORDERED, error_model="numpy")
 def centre(values: Singles, n_points: int, factor: float, centred: Singles) -> None:
-    """Write a symmetric matrix, less the means of rows and of columns, times a factor; by pairs."""
+    """Write a symmetric matrix, minus means of rows and columns, times a factor, by pairs."""
     means, first, scale = np.zeros(n_points, np.float32), 0, np.float32(factor)
     for i in range(n_points - 1):
         row, others, own = values[first : first + n_points - 1 - i], means[i + 1 :], np.float32(0)

@@ -27,14 +27,14 @@ from anisomap.numerics.covariogram.objective import (
 from anisomap.numerics.graph.dissimilarity import as_symmetric
 from anisomap.numerics.precision import Floats, Reals
 
-_MAX_RANGE_SENSORS = 4000  # from which the range is estimated; bounds time and memory
+_MAX_RANGE_SENSORS = 4000  # sensors for the estimate of the range; bounds time and memory
 _RANGE_CORRELATIONS = (0.15, 0.45)  # around 1 / e; pairs with these are about one range apart
-_MIN_SINGLE = 100  # sensors from which matrices are float32; below, it saves little time
-# Relative displacement by the next step at which positions have converged; they correlate with
-# those of the minimum by 1 - 5e-7.
+_MIN_SINGLE = 100  # minimum sensors for float32 matrices; with fewer, they save little time
+# Relative displacement by the next step at convergence; positions then correlate with the minimum
+# by 1 - 5e-7.
 _DISPLACEMENT = 1e-3
 
-_MAX_CURVATURE = 6001  # coordinates from which factorising the curvature takes longer than it saves
+_MAX_CURVATURE = 6001  # coordinates; with more, factorisation takes longer than it saves
 _EXPONENT_BOUNDS = (0.3, 4.0)  # wider than all fitted values; chosen by hand
 # Iterations with one curvature, and coordinates from which there are more: a curvature takes cubic
 # time. With 30 or 40, a retina and Nao's torso took two thirds of the time that they took with 20,
@@ -43,8 +43,8 @@ _ROUND, _LONGER = 40, 3000
 _DAMPING = 1e-2  # of the diagonal, for directions without curvature; .001 to .03 took equal time
 _LEAST_DAMPING = 1e-6  # of the mean of the diagonal
 _SINGLE = 1000  # coordinates from which the curvature is factorised in float32, for speed
-_MEMORY = 40  # pairs of differences of L-BFGS: those of all iterations with one curvature
-_LINE_SEARCH = 6  # evaluations; more are needed only where float32 hides the decrease
+_MEMORY = 40  # pairs of differences in L-BFGS: all iterations with one curvature
+_LINE_SEARCH = 6  # evaluations; more are needed only if rounding in float32 hides the decrease
 _TOO_EXACT = 1e-12  # relative decrease that is never met before convergence
 
 
@@ -85,7 +85,7 @@ def fit_covariogram(
     least_prior: float = 0.0,
     near: Covariogram | None = None,
 ) -> Covariogram:
-    """Fit positions such that one decreasing function of distance explains all correlations.
+    """Fit positions so that a single decreasing function of distance explains all correlations.
 
     similarity (N, N): Correlations S in [-1, 1], symmetric; the diagonal is ignored.
     start (N, k): Initial positions in any unit.
@@ -94,8 +94,8 @@ def fit_covariogram(
     noise: Sampling variance s^2 of a correlation, above 0: see `sampling_variance`.
     known (N, N): Mask of the known correlations; all by default.
     least_tolerance, least_prior: Minima of the `tolerance` and the `prior_weight` of the options.
-    near: A fit to nearly the same correlations, at the same positions in its own unit, whose unit,
-        exponent and curvature the search starts from.
+    near: A fit to nearly the same correlations, at the same positions in its own unit. The search
+        starts from its unit, exponent and curvature.
 
     Minimises over positions x and the covariogram's amplitude a, exponent b and offset c ::
 
@@ -103,15 +103,15 @@ def fit_covariogram(
                                          - alpha log (d_ij / u^(1-h)))
         R_ij = a exp(-d_ij^b) + c - S_ij,  R_ii = 0,  g = mean of d_ij / D_ij,  u^2 = mean of d_ij^2
 
-    with lambda the `prior_weight` and alpha the `repulsion` of `CovariogramOptions`. Up to 200
-    sensors, h = 1; with N of them, it is ``(200 / N)^2``: the scale of a map is one number, which
-    the priors of all its pairs must not determine.
+    with lambda the `prior_weight` and alpha the `repulsion` of `CovariogramOptions`. h is 1 for up
+    to 200 sensors, and ``(200 / N)^2`` for N sensors: the scale of a map is a single number, which
+    must not be determined by the priors of all pairs.
 
     Errors of correlations are correlated: to second order, the log-likelihood of a covariance S
-    under the model C is ``-T/4 tr(R C^-1 R C^-1)`` (Wishart). W replaces C^-1; it is
-    ``(S + ridge I)^-1`` with the component of a signal common to all sensors, such as a hum or a
-    change of posture, projected out: ``W - W11'W / 1'W1``. Given the distances, a and c solve two
-    linear equations, so L-BFGS searches only positions and exponent (variable projection; Golub &
+    under the model C is ``-T/4 tr(R C^-1 R C^-1)`` (Wishart). W replaces C^-1. It is
+    ``(S + ridge I)^-1`` without the component of a signal common to all sensors, such as a hum or a
+    change of posture: ``W - W11'W / 1'W1``. For given distances, a and c solve two linear
+    equations, so L-BFGS searches only positions and exponent (variable projection; Golub &
     Pereyra 1973, SIAM Journal on Numerical Analysis 10: 413-432). Both priors scale with the noise
     and vanish as recordings grow.
 
@@ -163,7 +163,7 @@ def _estimate_range(similarity: Reals, positions: Reals, known: NDArray[np.bool_
 
 
 class Minimum(NamedTuple):
-    """A minimum of the objective, and the factor of the last curvature; positions (N, k)."""
+    """A minimum of the objective, and the factor of the latest curvature; positions (N, k)."""
 
     positions: Reals
     log_exponent: float
@@ -182,8 +182,8 @@ def minimise(
 ) -> Minimum:
     """Minimise the objective over positions and exponent. start (N, k).
 
-    L-BFGS follows long waves of a map, which hardly change the objective, in hundreds of
-    iterations. Here it searches over y with ``x = x_0 + U^-1 y``, where U'U is the damped
+    Long waves of a map hardly change the objective, so that L-BFGS would take hundreds of
+    iterations. It therefore searches over y with ``x = x_0 + U^-1 y``, where U'U is the damped
     Gauss-Newton matrix at x_0, which is computed again every 40 iterations, or 80. The curvature by
     y is nearly the identity.
     """
@@ -240,9 +240,9 @@ def _search(
         decrease, before = before - value, value
         if decrease > tolerance * max(abs(value), 1.0):
             return
-        # An exponent at its bound does not move, however steep the objective is.
+        # An exponent at its bound does not move, for any slope of the objective.
         free = np.append(slope[:-1], slope[-1] * np.all(np.abs(bounds[:, -1] - y[-1]) > 0))
-        # Without the curvature, the length of the next step is not known.
+        # Without the curvature, the length of the next step is unknown.
         displacement = _DISPLACEMENT if start.positions.size < _MAX_CURVATURE else np.inf
         if np.linalg.norm(solved(free)[:-1]) < displacement * np.linalg.norm(at(y)[0]):
             converged = True
@@ -282,7 +282,7 @@ def _factor(curvature: Reals) -> Reals:
     return np.asarray(factor.T)
 
 
-_MAX_SENSORS = 1000  # regularly sampled sensors; their 500,000 pairs suffice for one share
+_MAX_SENSORS = 1000  # regularly sampled sensors; 500,000 pairs suffice for a share
 _SIGNIFICANT = 2.0  # standard deviations from which a fitted correlation counts as significant
 _MIN_VARIANCE_FACTOR = 1e-4  # of correlations of nearly 1; bounds rounding errors
 _DISTANCES = 1 << 14  # steps of distance, far below all errors; sums over steps need no sort
@@ -296,7 +296,7 @@ def unexplained_share(
 
     The function is a monotone regression (Barlow et al. 1972). A correlation c has the sampling
     variance ``noise (1 - c^2)^2``; it is subtracted from the squared residuals. Only pairs whose
-    fitted correlation exceeds two standard deviations count: residuals of others are noise.
+    fitted correlation exceeds two standard deviations count, since other residuals are noise.
     """
     values, points = np.asarray(similarity), np.asarray(positions)
     step = -(-len(values) // _MAX_SENSORS)

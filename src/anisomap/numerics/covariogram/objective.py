@@ -1,7 +1,7 @@
 """Objective of the covariogram fit: whitened residuals of correlations.
 
-Symmetric matrices are given by their pairs i < j, in the order of `scipy.spatial.distance.pdist`,
-which takes half the arithmetic.
+Symmetric matrices are represented by their pairs i < j, in the order of
+`scipy.spatial.distance.pdist`, which halves the arithmetic.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Decay(NamedTuple):
 class Weights(NamedTuple):
     """Covariogram, and weights of squared deviations of ratios and of logarithms of distances.
 
-    by_scale: Share of the change of both by the scale of the map that counts.
+    by_scale: Weight of the changes of both by the scale of the map.
     """
 
     amplitude: float
@@ -58,7 +58,7 @@ class Pairs:
     """Constants of the pairs of n sensors, each of shape (P,), and functions of distances.
 
     known: 1 where the correlation is known, else 0. similarity: 0 where unknown.
-    whitened_known, whitened_similarity: Pairs of W A W for these.
+    whitened_known, whitened_similarity: Pairs of W A W for both.
     """
 
     known: Reals
@@ -69,7 +69,7 @@ class Pairs:
 
     def decay(self, points: Reals, log_exponent: float) -> Decay:
         """Evaluate the shape of the covariogram at the distances of points, shape (n, k)."""
-        # Arrays are overwritten where possible: new ones take longer than the arithmetic.
+        # Arrays are overwritten if possible: allocating arrays takes longer than the arithmetic.
         exact = pdist(points, "sqeuclidean")
         np.clip(exact, *_SQUARE_BOUNDS, out=exact)
         squares = exact.astype(self.known.dtype, copy=False)
@@ -99,12 +99,12 @@ class Pairs:
         np.multiply(self.whitened_known, weights.offset, out=term)
         force += term
         force -= self.whitened_similarity
-        # The sum over residuals cancels less than that over the products of their terms.
+        # The sum over residuals has less cancellation than a sum over products of their terms.
         value = self.product(residual, force) / 2
         force *= -weights.amplitude * weights.exponent
         force *= decayed.steepness
         by_exponent = self.product(force, decayed.logarithms)
-        # Divided by the distance twice: in the derivatives of the distance and of its power.
+        # The distance is a divisor twice: in the derivatives of the distance and of its power.
         force /= decayed.squares
         distances, count = np.sqrt(decayed.squares, out=residual), len(force)
         deviations = np.multiply(distances, self.inverse_metric, out=term)
@@ -137,7 +137,7 @@ class Pairs:
 
 
 class CompiledPairs(Pairs):
-    """Pairs in float32, whose functions are compiled: faster by half for 1,000 sensors."""
+    """Pairs in float32 with compiled functions: faster by half for 1,000 sensors."""
 
     def decay(self, points: Reals, log_exponent: float) -> Decay:
         """See `Pairs.decay`."""
@@ -173,7 +173,7 @@ class CompiledPairs(Pairs):
 
 
 def _sum(values: Reals) -> float:
-    """Sum values of pairs: parts in their own precision, which numpy adds pairwise."""
+    """Sum values of pairs: numpy adds parts pairwise, in the precision of the values."""
     return float(_rows(values).sum(axis=1).sum(dtype=np.float64))
 
 
@@ -183,16 +183,16 @@ def _rows(values: Reals) -> Reals:
     return values.reshape(n_points - 1 + n_points % 2, -1)
 
 
-_AMPLITUDE_BOUNDS = (1e-3, 10.0)  # below, the function is flat; above, all pairs exceed its range
+_AMPLITUDE_BOUNDS = (1e-3, 10.0)  # the function is flat below; all pairs exceed its range above
 
 _ROWS = 50  # of a product at a time; with 40 to 80, products of 250 rows took equal time
 _MIN_EIGENVALUE = 0.5  # of the ridge; chosen by hand, for similarities that are not correlations
-# Weight of residuals that are not whitened, relative to that of whitened residuals of unrelated
-# sensors: those of the correlations of eight skins had .43 to .71.
+# Weight of residuals that are not whitened, relative to whitened residuals of unrelated sensors:
+# for the correlations of eight skins, it was .43 to .71.
 _NOT_WHITENED = 0.5
-# Sensors above which both priors change by the scale of a map as if they had the pairs of so many:
-# the scale is one number, and the covariogram gave way to the priors of all pairs, with exponents
-# of .8 in place of 2 on spheres of 400 to 2,000. Skins of up to 250 lose .004 of r with 0 to 100.
+# Number of sensors whose pairs limit the changes of both priors by the scale of a map: the scale is
+# one number. Without the limit, the priors of all pairs dominated the covariogram, with exponents
+# of .8 instead of 2 on spheres of 400 to 2,000. With 0 to 100, skins of up to 250 lose .004 of r.
 _MAX_SCALED = 200
 _ROUNDING = 1e-15  # relative, of an eigenvalue that is 0, as in numpy.linalg.pinv
 
@@ -253,7 +253,7 @@ DEFAULT_COVARIOGRAM = CovariogramOptions()
 class Problem:
     """Data and parameters of the fit, with lengths in units of the covariogram's range.
 
-    prior: Takes the place of the `prior_weight` of the options.
+    prior: Replaces the `prior_weight` of the options.
     """
 
     similarity: Reals
@@ -290,7 +290,7 @@ class Objective:
         self._by_scale = min(1.0, (_MAX_SCALED / n) ** 2)
         self._weights: Reals | None = None
         if n <= problem.options.max_whitened:
-            # Inverted in float64; all other matrices take half the time in float32.
+            # The inversion requires float64; all other operations take half the time in float32.
             weights = _whitening(similarity, problem.options.ridge)
             self._weights = weights.astype(problem.precision)
         elif not loops:
@@ -313,7 +313,7 @@ class Objective:
 
     def terms(self, positions: Reals, log_exponent: float) -> Terms:
         """Evaluate the residuals at positions, shape (n, k)."""
-        # A curvature is followed by a search from the same positions, and the reverse.
+        # A search starts from the positions of the latest curvature, and vice versa.
         if self._latest is not None:
             before, exponent, terms = self._latest
             if exponent == log_exponent and np.array_equal(before, positions):
@@ -343,8 +343,8 @@ class Objective:
         """Return the Gauss-Newton matrix by positions (n, k) and log exponent, (n k + 1, n k + 1).
 
         With ``<A, B> = tr(A W B W)`` and the derivatives J of the residuals R, its elements are
-        ``<J_p, J_q>``; all take k (k + 3) / 2 products of (n, n) matrices, as the derivative by a
-        coordinate is not 0 only in one row and column. Amplitude and offset are eliminated by the
+        ``<J_p, J_q>``. They take k (k + 3) / 2 products of (n, n) matrices, since the derivative by
+        a coordinate is 0 except in one row and column. Amplitude and offset are eliminated by the
         Schur complement (Golub & Pereyra 1973; the approximation of Kaufman 1975, BIT 15: 49-57).
         The upper triangle is complete.
         """
@@ -361,8 +361,8 @@ class Objective:
             products = [self._scale * (a - b) for a, b in zip(derivatives, means, strict=True)]
         else:
             products = [derivative @ self._weights for derivative in derivatives]
-        # The second derivative of the repulsion is taken along the line between two sensors only,
-        # where it is positive; likewise the mean ratio of distances is taken as constant.
+        # Only the second derivative of the repulsion along the line between two sensors is used,
+        # which is positive. The mean ratio of distances is treated as constant.
         bend = 2 * self._prior * pairs.inverse_metric**2 + self._repulsion / decayed.squares
         radial = squareform(bend / decayed.squares)
         matrix = np.zeros((positions.size + 1, positions.size + 1), dtype)
@@ -382,7 +382,7 @@ class Objective:
         linear = np.array([[pairs.product(a, b) for b in whitened] for a in linear_terms])
         matrix[:-1, -1] = flat[2]
         matrix[-1, -1] = linear[2, 2]
-        # Rows whose outer products are those of the inverse: eigenvectors over roots of values.
+        # Sum of outer products of rows is the inverse: eigenvectors divided by roots of values.
         values, vectors = np.linalg.eigh(linear[:2, :2])
         kept = values > _ROUNDING * values[-1]
         roots = vectors[:, kept].T / np.sqrt(values[kept])[:, None]
@@ -409,7 +409,7 @@ class Objective:
         return np.asarray(found)
 
     def _whitened(self, values: Reals) -> Reals:
-        """Return the pairs of W A W, which is symmetric as A is, for A given by its pairs."""
+        """Return the pairs of W A W, which is symmetric like A, for A given by its pairs."""
         weights, n_sensors = self._weights, self._n_sensors
         if weights is None:
             centred = np.empty_like(values)
@@ -417,7 +417,7 @@ class Objective:
             return centred
         matrix = squareform(values)
         product, whitened = weights @ matrix, np.empty_like(weights)
-        # Only rows of products that reach above the diagonal are computed.
+        # Only parts of products above the diagonal are needed.
         for first, last in pairwise([*range(0, n_sensors, _ROWS), n_sensors]):
             np.matmul(product[first:last], weights[:, first:], out=whitened[first:last, first:])
         return np.asarray(squareform(whitened, checks=False))
