@@ -137,9 +137,9 @@ class Continued:
 
     def __call__(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the next times, (t,), in seconds."""
-        steps, ahead = np.diff(times, prepend=self._last), np.zeros(len(times))
         with np.errstate(invalid="ignore"):
-            falls = np.flatnonzero(steps < 0)
+            steps, ahead = np.diff(times, prepend=self._last), np.zeros(len(times))
+            falls = np.flatnonzero(np.isfinite(steps) & (steps < 0))
         if len(falls) < len(steps) and len(rising := steps[steps > 0]):
             self._usual = float(np.median(rising))
         for i in falls.tolist() if len(falls) <= max(1, _MOST_FALLS * len(times)) else ():

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.columns import AXES
-from anisomap.base.wording import join_items
+from anisomap.base.wording import join_items, printable
 from anisomap.errors import DamagedError, FileError, InputError
 from anisomap.files import reader_process
 from anisomap.io.parsing.source import batches, warn, warn_of_loss
@@ -128,7 +128,7 @@ def refuse_selection(described: object, select: str) -> None:
 
 
 def _listed(contents: Sequence[Content]) -> str:
-    return join_items([f"{content.name} ({content.summary})" for content in contents], _MAX_LISTED)
+    return join_items([f"{printable(one.name)} ({one.summary})" for one in contents], _MAX_LISTED)
 
 
 BLOCK_FRAMES = 8192
