@@ -116,6 +116,10 @@ def by_sensor(form):
     return "".join(form(t, i, v) + "\n" for t, row in FRAMES for i, v in enumerate(row))
 
 
+def candump(form):
+    return lines(lambda t, r: f"({t / 50}) can0 100#" + "".join(f"{v:{form}}" for v in r[:4]))
+
+
 REFUSED = {
     "numpy, in short": (
         lines(lambda t, row: np.array2string(np.tile(row, 99), threshold=9)),
@@ -125,18 +129,7 @@ REFUSED = {
         lines(lambda t, row: "data:\n" + "".join(f"- {v}\n" for v in row) + "---"),
         "record a bag, or print them with --csv",
     ),
-    "candump": (
-        lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v:04X}" for v in row[:4])),
-        "CAN bus .*decode them",
-    ),
-    "candump without letters": (
-        lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v % 99:02d}" for v in row)),
-        "CAN bus .*decode them",
-    ),
-    "candump in lower case": (
-        lines(lambda t, row: f"({t / 50:.6f}) can0 100#" + "".join(f"{v:04x}" for v in row) + " R"),
-        "CAN bus .*decode them",
-    ),
+    **{f"candump of {form}": (candump(form), "CAN bus .*decode") for form in ("04X", "04d", "04x")},
     "hexadecimal": (
         lines(lambda t, row: " ".join(f"0x{v:04X}" for v in row)),
         "'0x0000' is not a number; write decimal numbers",

@@ -135,7 +135,7 @@ def test_quantities_beside_the_forces_of_taxels(put) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [["thumb", "index", "middle", "ring"], ["state0", "state1", "state2", "state3"]]
+    "names", [["thumb", "index", "middle", "ring"], ["state0", "state1", "state2", "palm"]]
 )
 def test_sensors_stay_sensors(put, names: list[str]) -> None:
     assert io.read(put("hand.csv", text(names, PRESSED[:, :4]))).names == tuple(names)

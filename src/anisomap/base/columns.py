@@ -223,7 +223,7 @@ def _stem_of(name: str, stems: Collection[str]) -> str:
 _UNIT = re.compile(r"(.*\S)\s*[\[(]\s*([^\d\[\]()][^\[\]()]{0,15})\s*[\])]")
 _UNITS = re.compile(
     r"(?:[kMGmunp\u00b5\u03bc]?(?:Pa|N|V|A|F|T|g|bar|Ohm|\u03a9|Hz)|psi|mmHg|%(?:RH)?|\u00b0?[CF]|LSB|G)"
-    r"(?:/\w+[\d\u00b2]?)?|a\.?u\.?|counts?|raw|adc|digits?|bits?|units?|norm\w*|deg\w*|k?Pa.*",
+    r"(?:/\w+[\d\u00b2]?)?|a\.?u\.?|counts?|raw|adc|digits?|bits?|units?|norm\w*|deg\w*|k?Pa\b.*",
     re.IGNORECASE,
 )
 
@@ -288,7 +288,9 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
     found |= {i: f"a quantity in {names[i]}" for i in units}
     if len(table) >= _MIN_ROWS:
         found |= {i: "empty" for i in odd if np.isnan(table[:, i]).all()}
-        found |= {i: "constant" for i in odd if i not in found and np.ptp(table[:, i]) == 0}
+        moved = np.ptp(table, axis=0) > 0  # of a skin at rest, none
+        resting = [i for i in odd if not moved[i] and 2 * np.count_nonzero(moved) > len(moved)]
+        found |= {i: "constant" for i in resting if i not in found}
         found |= _by_values(names, table, found, odd)
     n_sensors = table.shape[1] - len(found)
     return found if n_sensors >= _MIN_SENSORS else {}

@@ -85,7 +85,7 @@ _KINDS = (
     (0.5, r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)"
      r"|\s[dsx]\s+\d(?:\s+[0-9A-F]{2})+\b|^T[0-9A-F]{4}(?:[0-9A-F]{2}){1,8}$",
      "holds frames of a CAN bus in hexadecimal, as in {}: decode them to lines of numbers first"),
-    (_MIN_SHARE, rf"{_BYTES}{{3,}}(?=\w{{1,3}}[A-F])[0-9A-F]{{2,4}}h?(?![\w.])",
+    (_MIN_SHARE, rf"{_BYTES}{{3,}}(?=\w{{1,3}}[A-F])[0-9A-F]{{2,4}}h?(?![\w.+-])",
      "holds hexadecimal numbers, as in {}: write decimal numbers"),
     (0.9, r"^(?:[01]{4,16}[\s,;]*){3,}$", "holds binary digits, as in {}: write decimal numbers"),
     (0.5, r"(?<![\w.])(?:\d{21,}|(?:\d+\.){4,}\d)",
