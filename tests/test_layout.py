@@ -109,7 +109,7 @@ def test_each_fault_is_found_and_explained(kind, check):
 
 
 def test_every_kind_of_finding_has_a_test():
-    others = {"dead", "doubled", "reversed", "overlapping"}
+    others = {"dead", "doubled", "reversed", "overlapping", "contradicting"}
     assert {name.split()[0] for name in faults()} | others == set(KINDS)
 
 

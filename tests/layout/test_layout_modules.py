@@ -156,15 +156,14 @@ def test_a_mirrored_patch_is_one_finding(statistics):
     assert finding.kind == "mirrored"
     assert finding.explanation.startswith("the 4 modules taxel0 to taxel9, taxel10 to taxel19")
     assert finding.explanation.endswith("of one patch are mirrored in their places")
-    assert finding.agreement_proposed > max(finding.agreement_stated, finding.agreement_second)
+    assert finding.agreement_proposed > finding.agreement_stated
     assert finding.z > 3
 
 
 @pytest.mark.parametrize(
     ("patch", "angle", "hand", "words"),
     [
-        ((1, 2, 3, 6, 7, 8), 60, 1, "turned together by 60 degrees clockwise"),
-        ((1, 2, 3, 6, 7, 8), 0, -1, "mirrored together"),
+        ((1, 2, 3, 6, 7, 8), 60, 1, ""),
         ((6, 7, 8, 9), 180, 1, "turned together by 180 degrees"),
         ((7, 8, 9, 10, 11), 0, -1, "mirrored together"),
     ],
@@ -180,6 +179,11 @@ def test_a_patch_that_is_turned_or_mirrored_as_one_is_one_finding(patch, angle, 
     layout = replace(RIGHT, positions=stated)
     found = check_layout(layout, recording, modules=MODULES)
     (finding,) = (one for one in found.findings if one.kind != "dead")
+    if 2 * len(patch) == MOUNTING.n_modules:  # one half against the other
+        assert finding.kind == "contradicting"
+        assert not found.flagged.any()
+        assert not found.consistent
+        return
     assert named(found) == set(patch)
     assert finding.explanation.endswith(f"of one patch are {words}")
     assert check_layout(found.corrected, recording, modules=MODULES).consistent

@@ -21,6 +21,7 @@ from anisomap.layout.evidence import REACH, Evidence, Move, neighbour_spacing
 from anisomap.layout.explanation import explain, explain_modules, motion, span
 from anisomap.layout.findings import (
     CONSISTENT,
+    CONTRADICTING,
     DEAD,
     KINDS,
     NOT_CONSISTENT,
@@ -37,7 +38,7 @@ from anisomap.layout.judging import Judge, agreement, own_agreement
 from anisomap.layout.module_changes import Change
 from anisomap.layout.modules import Mounting, find_modules, orientation
 from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statistics
-from anisomap.layout.search import Search
+from anisomap.layout.search import SMALLER, Search
 from anisomap.layout.together import AGREEING, bonds, unsure_patches
 from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images
 from anisomap.names import match_names, match_sensors
@@ -195,7 +196,7 @@ class _Checked:
         self.enough = bool(np.median(self.contacts[self.usable]) >= _PATCH_CONTACTS)
         self.agreement = own_agreement(evidence)
         self.p, self.explained = agreement_as_a_whole(evidence, self.rng)
-        judge = Judge(self.statistics, evidence)
+        judge = Judge(self.statistics, evidence, few=not self.enough)
         rival = best_rival(evidence, judge)
         if rival and rival.better and not paired and self._fits(rival.evidence, _MANY_WRONG):
             return self._in_another_order(rival.order)
@@ -359,6 +360,17 @@ class _Checked:
             made=search.made,
             names=self.names,
         )
+        for sides in search.undecided:
+            modules = [[self.mounting.members[m] for m in one] for one in sides]
+            named = [
+                join_items([span(one, self.names) for one in each], _MAX_NAMED) for each in modules
+            ]
+            text = (
+                f"modules {named[0]} contradict modules {named[1]} at their border, and which of "
+                "them are at wrong places cannot be told"
+            )
+            sensors = np.concatenate([one for each in modules for one in each])
+            self.findings.append(LayoutFinding(CONTRADICTING, sensors, text))
         for kind, text, sensors in explained:
             self._add_sensors(kind, text, sensors, search, proposed)
         return self._as_stated(proposed)
@@ -369,9 +381,9 @@ class _Checked:
         for change in changes:
             sensors = change.move.sensors
             before = evidence.moved(Move(sensors, change.stated))
-            tried = (change.stated, change.move.places, change.second.places)
+            tried = (change.stated, change.move.places)
             agreements.append([_mean(agreement(before, sensors, places)) for places in tried])
-        stated, there, second = np.mean(agreements, axis=0).tolist()
+        stated, there = np.mean(agreements, axis=0).tolist()
         sensors = np.concatenate([change.move.sensors for change in changes])
         distance = np.linalg.norm(
             np.concatenate([change.move.places - change.stated for change in changes]), axis=1
@@ -385,7 +397,6 @@ class _Checked:
             displacement=float(np.median(distance[changed])),
             agreement_stated=stated,
             agreement_proposed=there,
-            agreement_second=second if changes[0].modules else float("nan"),
             gain=sum(change.verdict.gain for change in changes),
             z=min(change.verdict.z for change in changes),
             modules=tuple(one for change in changes for one in self._turned(change)),
@@ -443,7 +454,12 @@ class _Checked:
                 f"{join_items(near, _MAX_NAMED)}, but adjacent modules of this shape are "
                 f"{self.mounting.clearance:.3g} apart"
             )
-            self.findings.append(LayoutFinding("overlapping", self.mounting.members[m], text))
+            # Of two alone, the one that agrees with about as many others may as well be right.
+            told = counts[m] > 1 or SMALLER * size[m] <= size[others[0][1]]
+            both = [m] if told else [m, others[0][1]]
+            sensors = np.concatenate([self.mounting.members[one] for one in both])
+            kind = "overlapping" if told else CONTRADICTING
+            self.findings.append(LayoutFinding(kind, sensors, text))
 
     def _add_sensors(
         self,
@@ -464,7 +480,7 @@ class _Checked:
             return
         untested = [self.names[i] for i in moved if not self.usable[i]]
         caveat = f" ({join_items(untested, _MAX_NAMED)} not tested)" if untested else ""
-        change = Change((), (), (), stated, move, back, verdict)
+        change = Change((), (), (), stated, move, verdict)
         self._add(kind, text + caveat, [change], search.evidence)
 
     def _as_stated(self, proposed: NDArray[np.float64]) -> NDArray[np.float64]:

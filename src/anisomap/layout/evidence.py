@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -211,28 +212,35 @@ class Evidence:
 
     def gain(self, move: Move) -> float:
         """Return the increase of the log-likelihood by a move of some sensors together."""
-        return self.gains(move, self.codes[None])[0]
+        return float(self.gains(move.sensors, self.codes[None])(move.places)[0])
 
-    def gains(self, move: Move, codes: NDArray[np.uint8]) -> list[float]:
-        """Return the `gain` with other similarities, codes (g, n, n)."""
-        kept = self.usable[move.sensors]
-        sensors, there = move.sensors[kept], move.places[kept]
-        here = self.positions[sensors]
-        outside = self.usable.copy()
-        outside[sensors] = False
-        others = np.flatnonzero(outside)
-        around = [cdist(places, self.positions[others]) for places in (here, there)]
-        before, after = (self.falloff.bins(distances) for distances in around)
-        apart, near = (self.falloff.bins(cdist(places, places)) for places in (here, there))
-        found, table = [], self.falloff.ratio
-        # Pairs of moved sensors are at the distance of their new places, and counted twice.
-        for one in codes:
-            rows = one[sensors]
-            with_others, within = rows[:, others], rows[:, sensors]
-            gain = (table(with_others, after) - table(with_others, before)).sum(dtype=np.float64)
-            inner = (table(within, near) - table(within, apart)).sum(dtype=np.float64)
-            found.append(float(gain + inner / 2))
-        return found
+    def gains(
+        self, sensors: NDArray[np.intp], codes: NDArray[np.uint8]
+    ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+        """Return the `gain` of sensors as a function of their new places (m, k).
+
+        codes (g, n, n): Similarities, for each of which there is a gain.
+        """
+        kept = self.usable[sensors]
+        moved, outside = sensors[kept], self.usable.copy()
+        outside[moved] = False
+        beside = self.positions[outside]
+        across = [one[np.ix_(moved, outside)] for one in codes]
+        within = [one[np.ix_(moved, moved)] for one in codes]
+
+        def fit(places: NDArray[np.float64]) -> NDArray[np.float64]:
+            # Pairs of moved sensors are at the distance of their new places, and counted twice.
+            sums = [
+                [self.falloff.ratio(one, bins).sum(dtype=np.float64) for one in some]
+                for some, bins in (
+                    (across, self.falloff.bins(cdist(places, beside))),
+                    (within, self.falloff.bins(cdist(places, places))),
+                )
+            ]
+            return np.asarray(np.array([1, 0.5]) @ sums)
+
+        before = fit(self.positions[moved])
+        return lambda places: fit(places[kept]) - before
 
     @property
     def reach(self) -> float:

@@ -16,8 +16,10 @@ OK = "ok"
 """Status of a tested sensor whose readings fit its place."""
 
 NOT_TESTED = "not tested"
-DEAD = "dead"
 """Status of a sensor without evidence in the recording, or without a stated position."""
+
+DEAD, CONTRADICTING = "dead", "contradicting"
+"""Kinds of findings, of `KINDS`, that do not say of a sensor that it is at a wrong place."""
 
 KINDS: Mapping[str, str] = MappingProxyType(
     {
@@ -31,6 +33,7 @@ KINDS: Mapping[str, str] = MappingProxyType(
         "moved": "sensors that belong to a place where the layout has no sensor",
         "overlapping": "a module closer to another module than their shape allows",
         "doubled": "a sensor that repeats the readings of another sensor",
+        "contradicting": "modules that contradict each other; which are wrong cannot be told",
         "dead": "a sensor that stays constant while its neighbours are touched",
     }
 )
@@ -79,6 +82,7 @@ class LayoutFinding:
     agreement_stated, agreement_proposed, agreement_second : float
         Mean similarity of the sensors to the sensors around their stated, proposed and second
         best places; NaN if there are no such sensors or places.
+        "contradicting": "modules that contradict each other; which are wrong cannot be told",
     gain : float
         Increase of the log-likelihood of all similarities, in nats; NaN if no place is proposed.
     z : float
@@ -94,7 +98,6 @@ class LayoutFinding:
     displacement: float = float("nan")
     agreement_stated: float = float("nan")
     agreement_proposed: float = float("nan")
-    agreement_second: float = float("nan")
     gain: float = float("nan")
     z: float = float("nan")
     modules: tuple[ModuleChange, ...] = ()
@@ -170,8 +173,10 @@ class LayoutCheck:
 
     @property
     def flagged(self) -> NDArray[np.bool_]:
-        """Mask of the sensors in findings on places and wires, not of dead ones, shape (N,)."""
-        return np.array([status not in (OK, NOT_TESTED, DEAD) for status in self.status], bool)
+        """Mask of the sensors whose place or wire is wrong, not of dead ones, shape (N,)."""
+        return np.array(
+            [status not in (OK, NOT_TESTED, DEAD, CONTRADICTING) for status in self.status], bool
+        )
 
     def names(self, finding: LayoutFinding) -> tuple[str, ...]:
         """Return the names of the sensors of a finding."""

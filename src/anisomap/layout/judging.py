@@ -19,7 +19,8 @@ MIN_Z = 3.0
 MIN_GROUP_GAIN = 30.0
 """Least gain in nats of a module or run, whose pairs have errors in common, or at a free place."""
 
-_IN_PLACE = 40.0  # the same of a module that is turned at its place, in one of a dozen ways
+_IN_PLACE, _LIKELY = 40.0, 60.0  # the same of a module that is turned in its place
+_CERTAIN_Z = 5.0  # with fewer, right modules beside a patch that moved gained up to 51
 
 _MIN_AGREEMENT, _MIN_OF_FEW = 0.48, 0.1
 """Least gain of agreement, relative to the median agreement, at any place and at one of a few.
@@ -64,9 +65,13 @@ class Judge:
     """Weighs moves by the statistics of the readings.
 
     evidence: At the stated places.
+    few: Whether contacts are few, so that each change must gain twice as much.
     """
 
-    def __init__(self, statistics: ReadingStatistics, evidence: Evidence) -> None:
+    def __init__(
+        self, statistics: ReadingStatistics, evidence: Evidence, *, few: bool = False
+    ) -> None:
+        self._price = 2.0 if few else 1.0
         self._parts = np.stack([coded(part) for part in statistics.parts])
         own = own_agreement(evidence)[evidence.usable]
         own = own[np.isfinite(own)]
@@ -79,7 +84,7 @@ class Judge:
 
     def gain(self, evidence: Evidence, move: Move) -> tuple[float, float]:
         """Return the gain of a move, and it in standard errors."""
-        gain, parts = evidence.gain(move), np.array(evidence.gains(move, self._parts))
+        gain, parts = evidence.gain(move), evidence.gains(move.sensors, self._parts)(move.places)
         variance = np.sum((parts - parts.mean()) ** 2) * (1 - 1 / len(parts))
         return gain, gain / max(float(np.sqrt(variance)), 1e-9)
 
@@ -102,10 +107,12 @@ class Judge:
         in_place: Whether it turns a module at its place. Half of its sensors may have no others
             around them then, so that agreement tells less.
         """
-        least = _IN_PLACE if in_place else MIN_GROUP_GAIN if group or free else MIN_GAIN
+        gain, z = self.gain(evidence, move)
+        turned = _IN_PLACE if z >= _CERTAIN_Z else _LIKELY
+        least = turned if in_place else MIN_GROUP_GAIN if group or free else MIN_GAIN
         if free:
             least = max(least, MIN_GAIN * len(move.sensors) / 2)
-        gain, z = self.gain(evidence, move)
+        least *= self._price
         gains = agreement_gains(evidence, move) if gain >= least else np.empty(0)
         if not gains.size:
             return Verdict(gain, least, z, agrees=False)

@@ -38,7 +38,6 @@ class Change:
     slots, turns: The proposed ones of these modules.
     stated: Places before, (m, k).
     move: From the stated places to the proposed ones.
-    second: From the stated places to the second best ones.
     """
 
     modules: tuple[int, ...]
@@ -46,7 +45,6 @@ class Change:
     turns: tuple[int, ...]
     stated: NDArray[np.float64]
     move: Move
-    second: Move
     verdict: Verdict
     together: bool = False
 
@@ -62,35 +60,42 @@ class Arrangement:
     Orientations are improved by chains of flips, and slots by one linear assignment in which each
     change has a price, in turn. Then the changes that do not hold are undone, the weakest first.
 
-    evidence: With modules unbent at their stated places.
+    stated: With modules unbent at their stated places.
+    evidence, changes: After all changes that hold, and these.
     """
 
     def __init__(self, evidence: Evidence, mounting: Mounting, judge: Judge) -> None:
-        self._stated, self._mounting, self._judge = evidence, mounting, judge
+        self.stated, self.mounting, self._judge = evidence, mounting, judge
+        self.evidence, self.changes = evidence, list[Change]()
         self._members = mounting.members
         self._slot, self._turn = np.arange(mounting.n_modules), np.zeros(mounting.n_modules, int)
         self._falloff = evidence.falloff
-        self._n_turns = len(mounting.orientations)
         self._tested = np.array(
             [evidence.usable[m].sum() >= MIN_TESTED for m in self._members], bool
         )
 
-    def run(self) -> tuple[Evidence, list[Change]]:
-        """Return the evidence after all changes that hold, and these."""
+    def run(self, *, rows: bool = True) -> Arrangement:
+        """Make all changes that hold, and return itself.
+
+        rows: Whether to look for rows of modules in reverse order.
+        """
         if not self._tested.any() or len(self._tested) < 2:
-            return self._stated, []
-        self._reverse(self._stated)
+            return self
+        if rows:
+            self._reverse(self.stated)
         calm = False
         for _ in range(_MAX_ROUNDS):
             before = np.concatenate([self._slot, self._turn])
-            self._falloff = self._arranged().refitted().falloff
-            self._orient(self._arranged())
+            if not calm:
+                self._falloff = self._arranged().refitted().falloff
+                self._orient(self._arranged())
             self._reassign(self._arranged(), free=calm)
             same = np.array_equal(before, [*self._slot, *self._turn])
             if same and calm:
                 break
             calm = same  # without any exchange left, some move to free places
-        return self._changes()
+        self.evidence, self.changes = self._changes()
+        return self
 
     def unsure(self) -> list[int]:
         """Return the modules that fit another orientation nearly as well."""
@@ -100,7 +105,7 @@ class Arrangement:
             moves = [
                 Move(inside, places)
                 for turn, places in enumerate(self._images(m))
-                if turn != self._turn[m] and self._mounting.orientations[turn].fits
+                if turn != self._turn[m] and self.mounting.orientations[turn].fits
             ]
             if min((-evidence.gain(move) for move in moves), default=np.inf) < MIN_GAIN:
                 found.append(m)
@@ -108,16 +113,16 @@ class Arrangement:
 
     def _arranged(self) -> Evidence:
         """Return the evidence with all modules at their present places."""
-        positions = self._mounting.arranged(self._stated.positions, self._slot, self._turn)
-        return replace(self._stated, positions=positions, falloff=self._falloff)
+        positions = self.mounting.arranged(self.stated.positions, self._slot, self._turn)
+        return replace(self.stated, positions=positions, falloff=self._falloff)
 
     def _images(self, module: int) -> NDArray[np.float64]:
         """Return the places of a module in each orientation at its present slot, (O, m, k)."""
-        return np.asarray(self._mounting.shapes[self._slot[module]][:, self._mounting.pads[module]])
+        return np.asarray(self.mounting.shapes[self._slot[module]][:, self.mounting.pads[module]])
 
     def _orient(self, evidence: Evidence) -> None:
         images = [self._images(m) for m in range(len(self._slot))]
-        ways = self._mounting.orientations
+        ways = self.mounting.orientations
         price = np.array([MIN_GAIN if one.fits else 2 * MIN_GAIN for one in ways])
         price[0] = 0
         field = Orientations.of(evidence, self._members, images, self._tested, price)
@@ -130,13 +135,13 @@ class Arrangement:
         """
         fits, turns = np.full(wanted.shape, _NONE), np.zeros(wanted.shape, int)
         ways = [
-            o for o, one in enumerate(self._mounting.orientations) if one.fits and not one.backwards
+            o for o, one in enumerate(self.mounting.orientations) if one.fits and not one.backwards
         ]
         home = np.full(len(evidence.usable), -1)
         for m, inside in enumerate(self._members):
             home[inside] = m
         owner = np.where(home >= 0, self._slot[home], -1)
-        spacing, middles = evidence.falloff.spacing, self._mounting.middles
+        spacing, middles = evidence.falloff.spacing, self.mounting.middles
         for s in np.flatnonzero(wanted.any(axis=0)).tolist():
             away = np.linalg.norm(evidence.positions - middles[s], axis=1)
             others = np.flatnonzero(evidence.usable & (away < _FAR * spacing) & (owner != s))
@@ -144,14 +149,14 @@ class Arrangement:
                 continue
             modules = np.flatnonzero(wanted[:, s]).tolist()
             inside = np.concatenate([self._members[m] for m in modules])
-            pads = np.concatenate([self._mounting.pads[m] for m in modules])
+            pads = np.concatenate([self.mounting.pads[m] for m in modules])
             own = home[inside]
             apart = (own[:, None] != home[others]) & evidence.usable[inside][:, None]
             codes = evidence.codes[np.ix_(inside, others)]
             starts = np.flatnonzero(np.diff(own, prepend=-1))
             values = []
             for way in ways:
-                distances = cdist(self._mounting.shapes[s, way], evidence.positions[others])
+                distances = cdist(self.mounting.shapes[s, way], evidence.positions[others])
                 bins = evidence.falloff.bins(distances)[pads]
                 ratios = np.where(apart, evidence.falloff.ratio(codes, bins), 0)
                 values.append(np.add.reduceat(ratios.sum(axis=1), starts))
@@ -163,8 +168,8 @@ class Arrangement:
     def _likely(self, evidence: Evidence, n_slots: int) -> NDArray[np.bool_]:
         """Mark the slots around which the sensors are that are most similar to each module."""
         usable = evidence.usable
-        radius = evidence.reach + self._mounting.pitch
-        around = cdist(self._mounting.middles[:n_slots], evidence.positions) <= radius
+        radius = evidence.reach + self.mounting.pitch
+        around = cdist(self.mounting.middles[:n_slots], evidence.positions) <= radius
         weights = around * usable
         similar = np.zeros((len(self._members), len(usable)))
         for m, inside in enumerate(self._members):
@@ -172,7 +177,7 @@ class Arrangement:
                 similar[m] = evidence.similarity[inside[usable[inside]]].mean(axis=0)
             similar[m, inside] = 0
         votes = similar @ weights.T / np.maximum(weights.sum(axis=1), MIN_TESTED)
-        middles, spacing = self._mounting.middles, evidence.falloff.spacing
+        middles, spacing = self.mounting.middles, evidence.falloff.spacing
         away = cdist(middles[self._slot], middles[:n_slots])
         near = (away > 0) & (away < MIN_DISPLACEMENT * spacing)
         near[:, : len(self._slot)] = False  # adjacent modules may be exchanged
@@ -186,8 +191,8 @@ class Arrangement:
     def _reassign(self, evidence: Evidence, *, free: bool) -> None:
         """Assign modules to slots, also to free ones, and make the changes that hold."""
         n_modules = len(self._slot)
-        n_slots = len(self._mounting.frames) if free else n_modules
-        wanted = np.zeros((n_modules, len(self._mounting.frames)), bool)
+        n_slots = len(self.mounting.frames) if free else n_modules
+        wanted = np.zeros((n_modules, len(self.mounting.frames)), bool)
         wanted[:, :n_slots] = self._likely(evidence, n_slots)
         fits, turns = self._fits(evidence, wanted)
         modules = np.arange(n_modules)
@@ -222,9 +227,9 @@ class Arrangement:
         sensors = np.concatenate(self._members)
         kept = evidence.usable[sensors]
         module = np.repeat(np.arange(len(self._members)), [len(m) for m in self._members])[kept]
-        pads, sensors = np.concatenate(self._mounting.pads)[kept], sensors[kept]
-        n_modules, n_pads = len(self._members), self._mounting.seats.shape[1]
-        at = self._mounting.seats[:n_modules].reshape(-1, evidence.positions.shape[1])
+        pads, sensors = np.concatenate(self.mounting.pads)[kept], sensors[kept]
+        n_modules, n_pads = len(self._members), self.mounting.seats.shape[1]
+        at = self.mounting.seats[:n_modules].reshape(-1, evidence.positions.shape[1])
         falloff = evidence.falloff
         between = falloff.bins(cdist(at, at))
         stated = falloff.bins(cdist(at, evidence.positions[sensors]))
@@ -271,7 +276,7 @@ class Arrangement:
 
     def _move(self, moved: list[tuple[int, int, int]]) -> Move:
         sensors = np.concatenate([self._members[m] for m, _, _ in moved])
-        return Move(sensors, np.concatenate([self._mounting.places(*one) for one in moved]))
+        return Move(sensors, np.concatenate([self.mounting.places(*one) for one in moved]))
 
     def _changes(self) -> tuple[Evidence, list[Change]]:
         """Undo the changes that do not hold, the weakest first, and return the others."""
@@ -290,6 +295,13 @@ class Arrangement:
             for one in found:
                 some = list(one.modules)
                 beside = there[some].sum() >= _BESIDE * expected[some].sum()
+                if one.slots != one.modules and not one.row:  # right ones beside wrong ones
+                    beside = bool((there[some] >= AGREEING * expected[some]).all())
+                if not set(one.slots) <= set(some):
+                    # On bodies that are cut open, one fits beside others across the cut, too.
+                    before = evidence.moved(Move(one.move.sensors, one.stated))
+                    against = np.delete(bonds(before, self._members)[0][some], some, axis=1)
+                    beside &= -np.minimum(against, 0).sum() >= one.verdict.gain / 2
                 tested = one.row or self._tested[some].all()
                 if not (one.verdict.holds and beside and tested):
                     wrong.append(one)
@@ -304,14 +316,7 @@ class Arrangement:
         """Weigh a change against the stated places, with all others as proposed."""
         back = self._move([(m, m, 0) for m in group])
         before = evidence.moved(back)
-        tried = []
-        for other in range(self._n_turns):  # each module turned further by the same
-            moved = [
-                (m, int(self._slot[m]), (int(self._turn[m]) + other) % self._n_turns) for m in group
-            ]
-            tried.append(self._move(moved))
-        move, *others = tried
-        second = max(others, key=before.gain) if others else move
+        move = self._move([(m, int(self._slot[m]), int(self._turn[m])) for m in group])
         slots = tuple(int(self._slot[m]) for m in group)
         free = not set(slots) <= set(group)
         in_place = slots == group
@@ -319,7 +324,7 @@ class Arrangement:
             before, move, group=True, free=free, few=not free, in_place=in_place
         )
         turned = tuple(int(self._turn[m]) for m in group)
-        return Change(group, slots, turned, back.places, move, second, verdict)
+        return Change(group, slots, turned, back.places, move, verdict)
 
     def _as_groups(self, evidence: Evidence, changes: list[Change]) -> list[Change]:
         """Give adjacent modules that are flipped alike, one fault, the certainty of all of them.
@@ -327,7 +332,7 @@ class Arrangement:
         Each must still gain enough by itself.
         """
         found = list(changes)
-        for group in alike(changes, self._mounting):
+        for group in alike(changes, self.mounting):
             sensors = np.concatenate([changes[i].move.sensors for i in group])
             stated = np.concatenate([changes[i].stated for i in group])
             move = Move(sensors, evidence.positions[sensors])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -83,22 +84,25 @@ def motions(
     outside = np.flatnonzero(others)
     if not evidence.usable[sensors].any() or not outside.size:
         return []
-    turned = turns(here) if len(sensors) >= _MIN_PATCH else []
-    moves = [Move(sensors, places) for places in turned]
+    spacing, gains = evidence.falloff.spacing, evidence.gains(sensors, evidence.codes[None])
+
+    def gain(places: NDArray[np.float64]) -> float:
+        return float(gains(places)[0])
+
+    tried = turns(here) if len(sensors) >= _MIN_PATCH else []
     if shifted:
-        starts = [here, *turned]
-        moves += [Move(sensors, at) for at in _near_similar(evidence, sensors, outside, starts)]
-    moves.sort(key=lambda move: -evidence.gain(move))
+        tried += _near_similar(evidence, sensors, outside, [here, *tried])
+    moves = sorted([(-gain(places), i, places) for i, places in enumerate(tried)])
     if shifted:
-        moves += [_refined(evidence, one) for one in moves[:_N_REFINED]]
-        moves.sort(key=lambda move: -evidence.gain(move))
+        best = [_refined(gain, places, spacing) for *_, places in moves[:_N_REFINED]]
+        moves += [(-gain(places), len(moves) + i, places) for i, places in enumerate(best)]
+        moves.sort()
     tree: Any = KDTree(evidence.positions[outside])
-    spacing = evidence.falloff.spacing
     return [
-        move
-        for move in moves
-        if np.median(np.linalg.norm(move.places - here, axis=1)) >= least * spacing
-        and np.mean(tree.query(move.places)[0] < _MIN_GAP * spacing) <= _MAX_IN_THE_WAY
+        Move(sensors, places)
+        for *_, places in moves
+        if np.median(np.linalg.norm(places - here, axis=1)) >= least * spacing
+        and np.mean(tree.query(places)[0] < _MIN_GAP * spacing) <= _MAX_IN_THE_WAY
     ]
 
 
@@ -140,10 +144,11 @@ def turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return found
 
 
-def _refined(evidence: Evidence, move: Move) -> Move:
+def _refined(
+    gain: Callable[[NDArray[np.float64]], float], guess: NDArray[np.float64], spacing: float
+) -> NDArray[np.float64]:
     """Refine the place, and the rotation of three and more sensors, from a first guess."""
-    guess = move.places
-    spacing, dimensions = evidence.falloff.spacing, guess.shape[1]
+    dimensions = guess.shape[1]
     centre = guess.mean(axis=0)
     radius = max(float(np.linalg.norm(guess - centre, axis=1).max()), spacing)
     n_angles = 0 if len(guess) < _MIN_PATCH else 1 if dimensions == 2 else 3
@@ -157,7 +162,7 @@ def _refined(evidence: Evidence, move: Move) -> Move:
         return np.asarray(moved + centre + parameters[:dimensions] * spacing)
 
     def loss(parameters: Any) -> float:
-        return -evidence.gain(Move(move.sensors, placed(parameters)))
+        return -gain(placed(parameters))
 
     start = np.zeros(dimensions + n_angles)
     options: Any = {
@@ -166,4 +171,4 @@ def _refined(evidence: Evidence, move: Move) -> Move:
         "maxfev": _MAX_EVALUATIONS,
     }
     found: Any = minimize(loss, start, method="Nelder-Mead", options=options)
-    return Move(move.sensors, placed(found.x))
+    return placed(found.x)

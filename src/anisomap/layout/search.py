@@ -8,16 +8,20 @@ from functools import partial
 import numpy as np
 
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move, Proposal
-from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict, around
+from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, Verdict
 from anisomap.layout.module_changes import Arrangement, Change
 from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import free_moves
 from anisomap.layout.sensors import cable_shifts, reassigned
-from anisomap.layout.together import AGREEING, border, moved_patches
+from anisomap.layout.together import AGREEING, border, moved_patches, on_places, other_side
 
 _MAX_ROUNDS = 12
 _PRICE_OF_PATCH = 100.0  # nats; by hand
+_MIN_RUN_GAIN = 60.0  # nats; beside a patch that moved, a run of a right module gained 41
 _LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
+
+SMALLER = 1.3
+"""Times as many modules of a part, of two that contradict each other, that count as right."""
 
 
 def _price(change: Change) -> float:
@@ -33,6 +37,7 @@ class Search:
     arranged: After the search of modules.
     mounting: Where modules are, patches turned as proposed.
     changes: Of patches and modules.
+    undecided: Patches of which one moved against the other, but not certainly which.
     unsure: Modules whose orientation the readings leave open.
     made: Proposals for sensors that no module explains, which hold.
     """
@@ -43,61 +48,83 @@ class Search:
         self.made: list[Proposal] = []
         self.changes: list[Change] = []
         self.unsure: list[int] = []
+        self.undecided: list[tuple[list[int], list[int]]] = []
         self._explained: set[int] = set()
 
     def run_modules(self, *, patches: bool = True) -> Evidence:
         """Change modules, and patches of them if they are to move; return the evidence then."""
-        start = self.evidence
-        joint = Arrangement(start, self.mounting, self.judge)
-        self.evidence, self.changes = joint.run()
+        joint = Arrangement(self.evidence, self.mounting, self.judge).run()
+        self._rows = any(change.row for change in joint.changes)
         moved: list[Change] = []
         for _ in range(_MAX_ROUNDS if patches else 0):
-            held = []
-            for modules, (move, second) in moved_patches(start, self.mounting, self.evidence):
-                turned, own = start.moved(move), tuple(modules)
-                if not border(turned, self.mounting.members, modules) > 0:
-                    continue
-                mounting = self.mounting.moved(modules, turned.positions)
-                other = Arrangement(turned, mounting, self.judge)
-                evidence, changes = other.run()
-                stated = start.positions[move.sensors]
-                before = evidence.moved(Move(move.sensors, stated))
-                verdict = self.judge.weigh(before, move, group=True, free=True)
-                # Few pads are at the border: their agreement with others tells less than all pads.
-                beside = border(evidence, mounting.members, modules) > AGREEING
-                one = Change(own, own, (), stated, move, second, verdict, True)
-                worth = self._worth(evidence, one, changes)
-                if verdict.told and beside and worth > -np.inf:
-                    held.append((worth, one, turned, other, mounting, evidence, changes))
-            if not held:
+            found = self._next_patch(joint)
+            if found is None:
                 break
-            first = held[0][1].modules
-            rivals = [each for each in held[1:] if not set(first) & set(each[1].modules)]
-            _, one, start, joint, self.mounting, self.evidence, self.changes = max(
-                [held[0], *rivals], key=lambda each: each[0]
-            )
-            moved.append(one)
-        self.changes = moved + self.changes
-        self.unsure = joint.unsure()
+            joint = found[1]
+            # A patch may have moved to beside another one that was wrong.
+            for first in moved:
+                back = Move(first.move.sensors, first.stated)
+                rest = {m for one in (*moved, found[0]) if one is not first for m in one.modules}
+                if not rest & {*first.modules} and joint.evidence.gain(back) > -MIN_GROUP_GAIN:
+                    moved = [one for one in moved if one is not first]
+                    joint = self._with(joint, first.modules, back)
+            moved.append(found[0])
+        self.arranged = self.evidence = joint.evidence
+        self.mounting, self.unsure = joint.mounting, joint.unsure()
+        self.changes = moved + joint.changes
         for change in self.changes:
             self._explained.update(change.move.sensors.tolist())
-        self.arranged = self.evidence
+        changed = {m for change in self.changes for m in change.modules}
+        self.undecided = [pair for pair in self.undecided if not changed & {*pair[0], *pair[1]}]
         return self.evidence
 
-    def _worth(self, evidence: Evidence, patch: Change, changes: Sequence[Change]) -> float:
-        """Return what a further patch gains at its price, if it explains more, or as well by less.
+    def _next_patch(self, joint: Arrangement) -> tuple[Change, Arrangement] | None:
+        """Return a patch that moved for certain, and modules arranged with it moved."""
+        self.undecided, start, mounting = [], joint.stated, joint.mounting
+        for modules, move in moved_patches(start, mounting, joint.evidence):
+            if any({*modules} <= {*one, *other} for one, other in self.undecided):
+                continue
+            others, back = other_side(start, mounting, modules, move)
+            # Which of two parts moved against each other is a matter of reference.
+            ratio = len(others) / len(modules)
+            if 0 < ratio <= 1 / SMALLER:
+                found = self._patch(joint, others, on_places(start, mounting, others, back) or back)
+            else:
+                found = self._patch(joint, modules, move)
+            if found and not 1 / SMALLER < ratio < SMALLER:
+                return found
+            if found:
+                self.undecided.append((modules, others))
+        return None
 
-        Of two parts of a patch that moved against each other, the smaller one is worth more.
-        """
-        changed = np.flatnonzero((evidence.positions != self.evidence.positions).any(axis=1))
-        move = Move(changed, evidence.positions[changed])
-        price, before = sum(map(_price, changes)), sum(map(_price, self.changes))
-        fewer = price + _PRICE_OF_PATCH < before and self.evidence.gain(move) > -MIN_GROUP_GAIN
-        # Else modules one by one must leave the border contradicted.
-        left = border(self.evidence, self.mounting.members, patch.modules) < 0
-        if not (fewer or (left and self.judge.certainly_gains(self.evidence, move))):
-            return -np.inf
-        return around(self.evidence, move).gain(move) - price - _price(patch)
+    def _with(self, joint: Arrangement, modules: Sequence[int], move: Move) -> Arrangement:
+        """Arrange modules again with some of them moved together."""
+        turned = joint.stated.moved(move)
+        mounting = joint.mounting.moved(modules, turned.positions)
+        return Arrangement(turned, mounting, self.judge).run(rows=self._rows)
+
+    def _patch(
+        self, joint: Arrangement, modules: list[int], move: Move
+    ) -> tuple[Change, Arrangement] | None:
+        """Move a patch, and then modules; return None if it is not certain that it moved."""
+        members, stated = joint.mounting.members, joint.stated.positions[move.sensors]
+        if not border(joint.stated.moved(move), members, modules) > 0:
+            return None
+        other = self._with(joint, modules, move)
+        verdict = self.judge.weigh(
+            other.evidence.moved(Move(move.sensors, stated)), move, group=True, free=True
+        )
+        changed = np.flatnonzero((other.evidence.positions != joint.evidence.positions).any(axis=1))
+        all_moves = Move(changed, other.evidence.positions[changed])
+        price, before = (sum(map(_price, one.changes)) for one in (other, joint))
+        fewer = price + _PRICE_OF_PATCH < before
+        fewer = fewer and joint.evidence.gain(all_moves) > -MIN_GROUP_GAIN
+        # Few pads are at the border: their agreement with others tells less than all pads.
+        left, then = (border(one.evidence, members, modules) for one in (joint, other))
+        better = then - left > AGREEING and self.judge.certainly_gains(joint.evidence, all_moves)
+        if not (verdict.told and then > AGREEING and (fewer or better)):
+            return None
+        return Change(tuple(modules), tuple(modules), (), stated, move, verdict, True), other
 
     def run_sensors(self) -> None:
         """Move patches, runs of channels, and single sensors that no module explains.
@@ -125,7 +152,8 @@ class Search:
         changed: set[int] = set()
         for proposal in sorted(proposals, key=lambda one: -one.gain):
             sensors = proposal.move.sensors.tolist()
-            if proposal.gain < MIN_GAIN or (changed | self._explained).intersection(sensors):
+            least = _MIN_RUN_GAIN if proposal.kind == "shifted" else MIN_GAIN
+            if proposal.gain < least or (changed | self._explained).intersection(sensors):
                 continue
             if self.evidence.gain(proposal.move) < _LEFT * proposal.gain:
                 continue

@@ -34,10 +34,8 @@ _FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns are ha
 
 def moved_patches(
     evidence: Evidence, mounting: Mounting, arranged: Evidence
-) -> list[tuple[list[int], list[Move]]]:
-    """Propose patches that fit better turned, mirrored or shifted, the best first.
-
-    Each is its modules and two moves: the best, and the best of those that differ from it clearly.
+) -> list[tuple[list[int], Move]]:
+    """Propose modules that fit better turned, mirrored or shifted as a patch, the best first.
 
     arranged: With modules moved one by one, of which those that are contradicted are patches, too;
         groups that then agree with those around them, unchanged, are right.
@@ -58,15 +56,15 @@ def moved_patches(
         moves = motions(evidence, sensors, _LEAST, shifted=flat)
         if moves and evidence.gain(moves[0]) >= MIN_GROUP_GAIN:
             # On bodies that are cut open, a patch fits beside others across the cut, too.
-            gains = np.array([around(evidence, move).gain(move) for move in moves])
-            kept = gains >= _NEARLY * gains.max()
-            moves = [moves[i] for i in np.argsort(~kept, kind="stable").tolist()]
-            found.append((gains.max() - MIN_GROUP_GAIN * len(group), group, moves))
+            beside = around(evidence, moves[0]).gains(sensors, evidence.codes[None])
+            gains = np.concatenate([beside(move.places) for move in moves])
+            worth = gains.max() - MIN_GROUP_GAIN * len(group)
+            if worth >= 0:
+                found.append((worth, group, moves[(gains >= _NEARLY * gains.max()).argmax()]))
     # The one of two groups that explains more at their border is wrong: both gain across a cut.
     found.sort(key=lambda one: -one[0])
-    found = found[:_N_BEST]
-    best = [(group, _on_places(evidence, mounting, group, moves)) for _, group, moves in found]
-    return [(group, moves) for group, moves in best if moves]
+    best = [(group, on_places(evidence, mounting, group, one)) for _, group, one in found[:_N_BEST]]
+    return [(group, move) for group, move in best if move]
 
 
 def bonds(
@@ -105,6 +103,25 @@ def border(
     return found / expected if expected > 0 else float("nan")
 
 
+def other_side(
+    evidence: Evidence, mounting: Mounting, modules: list[int], move: Move
+) -> tuple[list[int], Move]:
+    """Return the modules that contradict some at their border, if any, and their reverse motion.
+
+    They agree with each other.
+    """
+    found, expected = bonds(evidence, mounting.members)
+    against, agreeing = found[modules].sum(axis=0), found > AGREEING * expected
+    agreeing[modules], agreeing[:, modules], against[modules] = False, False, 0
+    label = linked_labels(agreeing)
+    chosen = label == np.bincount(label, np.minimum(against, 0)).argmin()
+    others = np.flatnonzero(chosen).tolist() if (against[chosen] < 0).any() else []
+    sensors = np.concatenate([np.empty(0, int), *(mounting.members[m] for m in others)])
+    here = evidence.positions[move.sensors]
+    back = fit_similarity(move.places, here, scaling=False, reflection=None)
+    return others, Move(sensors, back.apply(evidence.positions[sensors]))
+
+
 def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
     """Return the patches apart from a larger one that fit nearly as well turned or mirrored."""
     if mounting.n_modules < 2:
@@ -116,7 +133,9 @@ def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
     for group in sorted(groups, key=lambda one: -len(one))[1:]:
         sensors = np.concatenate([mounting.members[m] for m in group])
         here = evidence.positions[sensors]
-        far = [places for places in turns(here) if _farthest(places, here) > least]
+        far = [
+            places for places in turns(here) if np.linalg.norm(places - here, axis=1).max() > least
+        ]
         gains = [evidence.gain(Move(sensors, places)) for places in far]
         if len(group) > 1 and max(gains, default=-np.inf) > -MIN_GAIN:
             found.append(group)
@@ -161,38 +180,30 @@ def _beside(
     return found
 
 
-def _on_places(
-    evidence: Evidence, mounting: Mounting, modules: list[int], moves: list[Move]
-) -> list[Move]:
-    """Return the best two moves, on flat layouts with a module on a place of one, or beside others.
+def on_places(
+    evidence: Evidence, mounting: Mounting, modules: list[int], move: Move
+) -> Move | None:
+    """Return a motion, on flat layouts with a module on a place of one, or beside others.
 
-    None of them if all modules stay at their own places: then each is turned by itself.
+    None if all modules stay at their own places: then each is turned by itself.
     """
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
     off = [
         min(_apart(mounting.places(m, m, o), at) for o in range(len(mounting.orientations)))
-        for m, at in zip(modules, np.split(moves[0].places, ends), strict=True)
+        for m, at in zip(modules, np.split(move.places, ends), strict=True)
     ]
     if max(off) <= _SAME * mounting.pitch:
-        return []
+        return None
     if evidence.positions.shape[1] == 2:
         others = mounting.without(modules, evidence.positions)
-        for shapes in (mounting.shapes[modules], others.shapes[others.n_modules :]):
-            exact = _beside(mounting, modules, moves[0], shapes)
-            best = max(exact, key=evidence.gain, default=moves[0])
-            if exact and evidence.gain(best) > _NEARLY * evidence.gain(moves[0]):
-                moves = [best, *moves]
-                break
-    least = _FAR * evidence.falloff.spacing
-    far = [move for move in moves if _farthest(move.places, moves[0].places) > least]
-    return [moves[0], (far or moves[-1:])[0]]
+        shapes = np.concatenate([mounting.shapes[modules], others.shapes[others.n_modules :]])
+        exact = _beside(mounting, modules, move, shapes)
+        best = max(exact, key=evidence.gain, default=move)
+        if evidence.gain(best) > _NEARLY * evidence.gain(move):
+            return best
+    return move
 
 
 def _apart(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:
     """Return the root mean square distance between two places of sensors."""
     return float(np.sqrt(((places - others) ** 2).sum(axis=1).mean()))
-
-
-def _farthest(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:
-    """Return the largest distance between two places of a sensor."""
-    return float(np.linalg.norm(places - others, axis=1).max())

@@ -135,33 +135,25 @@ def own_images(positions: NDArray[np.float64], spacing: float) -> int:
     positions (n, k), k 2 or 3. Such layouts fit the same readings equally well.
     """
     centred = positions - positions.mean(axis=0)
-    radius, tree, allowed = np.linalg.norm(centred, axis=1), KDTree(centred), _SAME * spacing
-    a = b = int(radius.argmax())
-    pairs = [(i, i) for i in np.flatnonzero(np.abs(radius - radius[a]) <= allowed).tolist()]
-    if positions.shape[1] == 3:
-        # In space, a second sensor, across from the first, fixes an image but for its hand.
-        b = int(np.linalg.norm(np.cross(centred, centred[a]), axis=1).argmax())
-        like = np.flatnonzero(np.abs(radius - radius[b]) <= allowed)
-        apart = cdist(centred, centred)
-        near = np.abs(apart[:, like] - apart[a, b]) <= allowed
-        pairs = [(i, j) for i, _ in pairs for j in like[near[i]].tolist()]
-    stated = _frame(centred[a], centred[b])
-    found = set()
-    for i, j in pairs[:_MAX_IMAGES]:
-        for hand in (1.0, -1.0):
-            frame = _frame(centred[i], centred[j])
-            frame[-1] *= hand
-            distance, order = map(np.asarray, tree.query(centred @ stated.T @ frame))
-            if distance.max() <= allowed and len(set(order.tolist())) == len(order):
-                found.add(order.tobytes())
+    tree, apart, allowed = KDTree(centred), cdist(centred, centred), _SAME * spacing
+    radius, left, images = np.linalg.norm(centred, axis=1), centred, [list[int]()]
+    chosen: list[int] = []  # sensors that span the layout, of which the images fix an image
+    for _ in range(positions.shape[1]):
+        chosen.append(int(np.linalg.norm(left, axis=1).argmax()))
+        unit = left[chosen[-1]] / max(float(np.linalg.norm(left[chosen[-1]])), 1e-12)
+        left = left - np.outer(left @ unit, unit)
+        like = np.abs(radius - radius[chosen[-1]]) <= allowed
+        images = [
+            [*image, i]
+            for image in images
+            for i in np.flatnonzero(
+                like
+                & (np.abs(apart[:, image] - apart[chosen[-1], chosen[:-1]]) <= allowed).all(axis=1)
+            ).tolist()
+        ][:_MAX_IMAGES]
+    back, found = np.linalg.pinv(centred[chosen], rcond=1e-6), set()
+    for image in images:
+        distance, order = map(np.asarray, tree.query(centred @ back @ centred[image]))
+        if distance.max() <= allowed and len(set(order.tolist())) == len(order):
+            found.add(order.tobytes())
     return len(found - {np.arange(len(positions)).tobytes()})
-
-
-def _frame(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return orthonormal rows: along the first vector, and in the plane of both."""
-    one = first / max(float(np.linalg.norm(first)), 1e-12)
-    if len(first) == 2:
-        return np.array([one, [-one[1], one[0]]])
-    across = second - (second @ one) * one
-    across = across / max(float(np.linalg.norm(across)), 1e-12)
-    return np.array([one, across, np.cross(one, across)])

@@ -307,7 +307,6 @@ def _print_check(
             f"off by ({unit})": ("displacement", lambda length: number(factor * length, 3)),
             "agreement": ("agreement_stated", lambda share: number(share, 2)),
             "corrected": ("agreement_proposed", lambda share: number(share, 2)),
-            "second best": ("agreement_second", lambda share: number(share, 2)),
         }
         printer.rows("Findings", columns, records[:MAX_SHOWN])
         for one in records[:MAX_SHOWN]:
@@ -347,10 +346,7 @@ def _record(found: LayoutCheck, finding: LayoutFinding) -> dict[str, Any]:
         }
         for i in finding.sensors.tolist()
     ]
-    measured = (
-        "kind explanation displacement agreement_stated agreement_proposed agreement_second "
-        "gain z certainty"
-    )
+    measured = "kind explanation displacement agreement_stated agreement_proposed gain z certainty"
     fields = "module angle mirror old_orientation new_orientation"
     modules = [attributes(one, fields) for one in finding.modules]
     return attributes(finding, measured) | {"modules": modules, "sensors": sensors}

@@ -416,7 +416,9 @@ _LOOKS = {
     "as stated": ("#a9b0b7", MARKERS[0]),
     "not tested": ("#dfe2e5", MARKERS[0]),
     **dict.fromkeys(("turned", "mirrored", "reversed"), (PALETTE[0], MARKERS[1])),
-    **dict.fromkeys(("exchanged", "moved", "overlapping"), (PALETTE[2], MARKERS[2])),
+    **dict.fromkeys(
+        ("exchanged", "moved", "overlapping", "contradicting"), (PALETTE[2], MARKERS[2])
+    ),
     **dict.fromkeys(("swapped", "cycle", "shifted"), (PALETTE[1], MARKERS[3])),
     **dict.fromkeys(("dead", "doubled"), (PALETTE[3], "X")),
 }
