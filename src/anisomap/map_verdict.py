@@ -24,7 +24,7 @@ LEVELS: Mapping[str, str] = MappingProxyType(
 )
 """Levels of a verdict from the worst to the best, with their meaning."""
 
-CONTACTS = (COMPACT, _) = ("compact", "elongated")
+CONTACTS = (COMPACT, ELONGATED) = ("compact", "elongated")
 """What can be stated of contacts: as of a fingertip, a palm or a ball; as of an edge or a roller.
 
 Where sensors are not evenly spaced, long contacts compress a map unnoticed.

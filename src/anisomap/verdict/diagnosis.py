@@ -42,7 +42,7 @@ from anisomap.verdict.chance import (
     rms_in_spacings,
     with_systematic_errors,
 )
-from anisomap.verdict.judge import Measurements, expected_error, judge
+from anisomap.verdict.judge import Measurements, judge
 from anisomap.verdict.second_map import (
     agreement_of_halves,
     differences_from_second_map,
@@ -145,6 +145,8 @@ def diagnose(
     verdict, found = Verdict(), None
     earlier, facts = sensor_map.notes, dict(sensor_map.provenance)
     if with_verdict:
+        if stated := _stated(contacts, joined):
+            facts["contacts"] = stated
         measured, found = examine(
             sensor_map,
             joined.complete(),
@@ -153,11 +155,10 @@ def diagnose(
             progress=progress,
             stages=stages,
             faults=faults,
+            contacts=stated,
         )
-        if stated := _stated(contacts, joined):
-            facts["contacts"] = stated
         facts |= {"uneven": True} if uneven else {}
-        verdict = judge(replace(measured, contacts=stated, known_uneven=uneven))
+        verdict = judge(replace(measured, known_uneven=uneven))
         if not joined.touched:
             verdict = replace(verdict, reasons=tuple(map(untouched, verdict.reasons)))
         if measured.confirmed:
@@ -185,6 +186,7 @@ def examine(
     progress: Callable[[float], None] | None = None,
     stages: Stages | None = None,
     faults: Sequence[Finding] = (),
+    contacts: str = "",
 ) -> tuple[Measurements, NDArray[np.float64] | None]:
     """Measure what is known of the errors of a map, and the covariances of its positions."""
     sizes = sensor_map.component_sizes
@@ -192,6 +194,7 @@ def examine(
         placed=int(np.count_nonzero(sensor_map.placed)),
         rarely=_rarely_touched(sensor_map, recording),
         largest=sizes[0],
+        contacts=contacts,
         spatial=sensor_map.dimensions == SPATIAL,
         unclear=UNCLEAR in sensor_map.notes,
         chosen="chosen_dimensions" in sensor_map.provenance,
@@ -222,19 +225,20 @@ def examine(
             uneven, crowded = spacing_varies(positions)
             differences = differences_from_second_map(part.evidence, positions, uneven=uneven)
         chance = covariances(deviations, positions)
-        repeatability = error_in_spacings(chance, positions)
-        difference = rms_in_spacings(differences, positions)
-        by_metric = rms_in_spacings(align(part.scaled, positions).aligned - positions, positions)
+        by_metric = align(part.scaled, positions).aligned - positions
+        one = replace(
+            measured,
+            repeatability=error_in_spacings(chance, positions),
+            difference=rms_in_spacings(differences, positions),
+            metric=rms_in_spacings(by_metric, positions),
+            uneven=uneven,
+        )
         if label == 0:
             groups = np.bincount(stages.evidence.groups.linked[stages.configuration.component == 0])
             measured = replace(
-                measured,
+                one,
                 linked=int(groups.max()),
-                repeatability=repeatability,
-                difference=difference,
-                metric=by_metric,
                 regional=regional_difference(differences, positions),
-                uneven=uneven,
                 crowded=crowded and measured.spatial,
                 extent=extent_in_spacings(positions),
                 paired=sensors_pair_off(part.evidence.similarity),
@@ -244,9 +248,7 @@ def examine(
                 apart, regions = _between_dimensions(stages.configuration, stages.other)
                 gain = _gain_of_third(part.evidence, stages.configuration, stages.other)
                 measured = replace(measured, between=apart, regions_between=regions, gain=gain)
-        kind = {"spatial": measured.spatial, "uneven": uneven}
-        error = expected_error(repeatability, difference, by_metric, **kind).value
-        if math.isfinite(error):
+        if math.isfinite(error := one.error.value):
             members = sensor_map.indices(np.array(made.names)[made.component == label].tolist())
             found[members] = with_systematic_errors(chance, differences, positions, error)
     return measured, found

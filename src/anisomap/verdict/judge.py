@@ -4,10 +4,9 @@ Resamples of a recording show what chance does to a map, but not what bends all 
 that rest on other assumptions show this: the numbers of steps between sensors on a graph of
 neighbours assume nothing of contacts, but that neighbours are equally far apart, and the metric
 alone is long around thin parts. The accuracy of maps of known skins followed these measurements,
-that of steps taken over the whole map or in regions. The constants were chosen on maps with errors
-of at most a spacing (seeds 63001 to 63200 and 66001 to 66400): of larger errors it matters only
-that they are seen. ``python -m benchmarks.verdicts.calibration`` fits them to other maps, and
-leaves out each kind of skin in turn.
+that of steps taken over the whole map or in regions. The constants were chosen such that few wrong
+maps and many good ones are usable (``docs/development/verdicts.md``);
+``python -m benchmarks.verdicts.calibration`` fits them to other maps, without each kind in turn.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from dataclasses import dataclass
 
 from scipy.special import expit
 
-from anisomap.map_verdict import COMPACT, Verdict
+from anisomap.map_verdict import COMPACT, ELONGATED, Verdict
 from anisomap.notes import Note
 
 MIN_AGREEMENT = 0.4
@@ -29,10 +28,7 @@ correlation has a standard deviation of .12 by chance. See ``docs/explanation/tr
 """
 
 MAX_ERROR, MAX_RELATIVE = 1.0, 0.4
-"""Upper end of the interval of the error of a usable map, in spacings, and relative to the extent
-of the map. With .3, .35, .4 and .45, 95, 99, 107 and 109 of 141 good maps were usable, and always 3
-of 106 wrong ones and 2 with a Mantel r below .9 (seeds 63001 to 63200, 66001 to 66400).
-"""
+"""Upper end of the interval of the error of a usable map, in spacings, and over its extent."""
 
 MIN_KEPT = 0.7
 """Lower end of the interval of the share of kept neighbours of a map that is usable for neighbours.
@@ -80,16 +76,21 @@ class Estimate:
     low: float
     high: float
 
-    def plus(self, size: float) -> Estimate:
-        """Return the estimate of the error that another, of a known size, is independent of."""
-        return Estimate(*(math.hypot(one, size) for one in (self.value, self.low, self.high)))
+    def plus(self, size: float, scale: float) -> Estimate:
+        """Return, scaled, the estimate with a further error of a known size, independent of it."""
+        ends = self.value, self.low, self.high
+        return Estimate(*(scale * math.hypot(one, size) for one in ends))
 
 
-BY_CHANCE, BY_STEPS, BY_METRIC, BY_PATHS = 0.84, 0.31, (0.63, 1.0), 0.7
+BY_CHANCE, BY_STEPS, BY_METRIC, BY_PATHS, BY_LENGTH = 0.95, 0.27, (0.63, 1.0), 0.8, 1.5
 """Expected error per RMS difference of resamples; per difference from the map of steps, and from
-the metric's, in 2 and in 3 dimensions; and per difference from that of paths, where sensors are not
-evenly spaced.
+the metric's, in 2 and in 3 dimensions; per difference from that of paths, where sensors are not
+evenly spaced; and, if contacts are stated to be elongated, over that of compact ones.
 """
+
+MAX_EXTENT = 0.7
+"""Most extent of n evenly spaced sensors, in spacings, over the root of n: that of lattices about
+five times as long as wide; squares have .41, spheres .28."""
 
 ERROR_INTERVAL = (0.5, 2.0)
 """5 % and 95 % quantiles of true errors, relative to the expected ones."""
@@ -193,9 +194,18 @@ class Measurements:
 
     @property
     def error(self) -> Estimate:
-        """Expected error if the number of dimensions is right."""
-        kind = {"spatial": self.spatial, "uneven": self.uneven}
-        return expected_error(self.repeatability, self.difference, self.metric, **kind)
+        """Expected error if the number of dimensions is right: the root of a sum of squares."""
+        parts = [BY_STEPS * self.difference, BY_METRIC[self.spatial] * self.metric]
+        parts = [BY_PATHS * self.difference] if self.uneven else parts
+        factor = BY_LENGTH if self.contacts == ELONGATED else 1.0
+        error = factor * math.hypot(BY_CHANCE * self.repeatability, *parts)
+        return Estimate(error, *(end * error for end in ERROR_INTERVAL))
+
+    @property
+    def clustering(self) -> float:
+        """Spacing over that of as many evenly spaced sensors, at most 1: small in clusters."""
+        clustered = self.uneven and math.isfinite(self.extent)
+        return min(1.0, MAX_EXTENT * math.sqrt(self.largest) / self.extent) if clustered else 1.0
 
     @property
     def ruining(self) -> tuple[str, ...]:
@@ -226,24 +236,25 @@ def judge(measured: Measurements) -> Verdict:
     error = measured.error
     region = region_error(measured.repeatability, measured.regional, error.value)
     share = math.sqrt(measured.doubt)
-    error = error.plus(share * measured.between)
-    region = region.plus(share * measured.regions_between)
-    kept = neighbours_kept(region.value)
-    small = error.high < MAX_ERROR and error.high >= MAX_RELATIVE * measured.extent
+    scale, extent = measured.clustering, measured.clustering * measured.extent
+    error = error.plus(share * measured.between, scale)
+    region = region.plus(share * measured.regions_between, scale)
+    kept = neighbours_kept(region.value / scale)
+    small = MAX_RELATIVE * extent <= error.high < MAX_ERROR
     if error.high < MAX_ERROR and not small and not limits and not measured.unseen_squash:
         level = "usable"
     elif (
         kept.low >= MIN_KEPT
         and measured.repeatability <= MAX_CHANCE
         and connected >= MIN_FRAGMENT * measured.placed
-        and error.value < MAX_FOR_NEIGHBOURS * measured.extent
+        and error.value < MAX_FOR_NEIGHBOURS * extent
         and not ruined
     ):
         level = "usable for neighbours"
     else:
         level = "not usable"
     if small:
-        limits.append(Note("small-body", extent=measured.extent))
+        limits.append(Note("small-body", extent=extent))
     limits += _conditions(measured, error.value, usable=level == "usable")
     if level != "usable":
         limits += measured.faults
@@ -278,19 +289,6 @@ def _reasons(measured: Measurements, *, advise: bool) -> tuple[Note, ...]:
 
 _LEAST = 0.01  # spacings: smaller errors are not calibrated
 _GREATEST = 1e6  # spacings: keeps the odds finite
-
-
-def expected_error(
-    chance: float, difference: float, metric: float, *, spatial: bool = False, uneven: bool = False
-) -> Estimate:
-    """Estimate the RMS error of a map from its measurements, all in spacings.
-
-    They are independent, so their squares add up.
-    """
-    systematic = BY_STEPS * difference, BY_METRIC[spatial] * metric
-    parts = (BY_PATHS * difference,) if uneven else systematic
-    error = math.hypot(BY_CHANCE * chance, *parts)
-    return Estimate(error, *(factor * error for factor in ERROR_INTERVAL))
 
 
 def region_error(repeatability: float, difference: float, error: float) -> Estimate:
