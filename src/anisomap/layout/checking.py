@@ -53,15 +53,15 @@ logger = logging.getLogger(__name__)
 MIN_SENSORS = 4
 """Minimum number of sensors that can be tested."""
 
-_LEAST_SENSITIVE = 0.05  # quantile of the contacts of sensors, relative to their neighbours
+_LEAST_SENSITIVE = 0.05  # quantile of contacts of sensors relative to their neighbours
 _MAX_NAMED = 8
-_MAX_P = 0.01  # of a layout that explains the readings better than shuffled ones
-_HALF_WRONG = 0.25  # share of the agreement that is left if half of the sensors are shuffled
-_MANY_WRONG = 0.5  # the same of three tenths; right layouts of real skins have 0.76 and more
+_MAX_P = 0.01  # of a layout that explains the readings better than shuffled layouts
+_HALF_WRONG = 0.25  # share of the agreement if half of the sensors are shuffled
+_MANY_WRONG = 0.5  # the same for three tenths; correct layouts of real skins have 0.76 and more
 _MIN_TESTED = 0.5  # share of the sensors of a finding, or of all, that must be tested
-_PATCH_CONTACTS = 10  # of the median tested sensor; with 6 to 8, right patches gain by moving
-_PAIRED = 0.2  # share of the sensors that repeat others, for contacts that come in pairs
-_HARDLY_TOLD = (2, 3)  # spacings: nearer sensors may read alike
+_PATCH_CONTACTS = 10  # of the median tested sensor; with 6 to 8, correct patches gain by moving
+_PAIRED = 0.2  # share of sensors that repeat others if contacts occur in pairs
+_HARDLY_TOLD = (2, 3)  # spacings: readings of nearer sensors may be equal
 _SAME = 0.01  # spacings; differences of places by rounding
 
 
@@ -149,12 +149,12 @@ def check_layout(
 
 @dataclass(eq=False)
 class _Checked:
-    """The steps of a check; sensors are numbered as in the columns that were matched.
+    """The steps of a check; sensors are numbered as matched columns.
 
-    rows: Of the sensors, in the layout.
-    contacts: Of each sensor.
-    constant: Whether each is.
-    copies: Groups of sensors that read one wire.
+    rows: Rows of the sensors in the layout.
+    contacts: Number of contacts of each sensor.
+    constant: Whether each sensor is constant.
+    copies: Groups of sensors that read the same wire.
     """
 
     layout: SensorMap
@@ -181,7 +181,7 @@ class _Checked:
         self.neighbours = [[j for j in found if j != i] for i, found in enumerate(near)]
 
     def result(self) -> LayoutCheck:
-        """Carry out all steps."""
+        """Perform all steps."""
         self._find_dead()
         paired = self._find_doubled()
         n_usable = int(np.count_nonzero(self.usable))
@@ -208,7 +208,7 @@ class _Checked:
         logger.info("weighing the evidence")
         proposed = self._explain(search)
         self._find_overlaps(search.evidence)
-        # With any sensor at a wrong place, a symmetric layout is no image of itself.
+        # A symmetric layout with a sensor at a wrong place is not an image of itself.
         rival = best_rival(search.evidence, judge)
         if rival is not None and not rival.worse:
             return self._as_a_whole(f"fits {rival.order.text} about as well as the stated order")
@@ -220,7 +220,7 @@ class _Checked:
         return self._summary(proposed, CONSISTENT)
 
     def _tell_limits(self, search: Search) -> None:
-        """Note what the readings leave open in a consistent layout."""
+        """Add notes on ambiguities of a consistent layout."""
         near = " and ".join(f"{length * self.spacing:.3g}" for length in _HARDLY_TOLD)
         unit = f" {self.layout.units}" if self.layout.units else ""
         notes = [
@@ -256,14 +256,14 @@ class _Checked:
         self.notes += tuple(notes)
 
     def _fits(self, evidence: Evidence, least: float) -> bool:
-        """Return whether places explain so much that not many of them can be wrong."""
+        """Return whether places explain enough of the readings to exclude many wrong places."""
         p, explained = agreement_as_a_whole(evidence, self.rng)
         return p <= _MAX_P and explained >= least
 
     def _as_a_whole(self, lacking: str = "") -> LayoutCheck:
         """Judge a layout that explains too little for findings on single sensors.
 
-        lacking: What the recording does instead of testing the layout.
+        lacking: Reason why the recording does not test the layout.
         """
         told = self.told and not lacking
         self.findings = [finding for finding in self.findings if finding.kind == DEAD]
@@ -281,7 +281,7 @@ class _Checked:
         return self._summary(self.positions, REJECTED if told else UNKNOWN)
 
     def _in_another_order(self, order: ScanOrder) -> LayoutCheck:
-        """Report that the sensors are in another order than the layout states."""
+        """Report that the order of the sensors differs from the layout."""
         places = self.positions[order.order]
         distance = np.linalg.norm(places - self.positions, axis=1)
         changed = np.flatnonzero(distance > 0)
@@ -298,10 +298,10 @@ class _Checked:
         return self._summary(places, NOT_CONSISTENT)
 
     def _find_dead(self) -> None:
-        """Find constant sensors that should have been touched, as their neighbours were.
+        """Find constant sensors that should have been touched like their neighbours.
 
-        Sensors differ in sensitivity: at least as many contacts are expected as the least sensitive
-        of the others have, relative to their neighbours.
+        Sensors differ in sensitivity: the least sensitive of the other sensors determine the
+        expected number of contacts, relative to neighbours.
         """
         around = np.array(
             [np.median(self.contacts[near]) if near else 0.0 for near in self.neighbours]
@@ -318,10 +318,10 @@ class _Checked:
             self.findings.append(LayoutFinding(DEAD, np.array([i]), text))
 
     def _find_doubled(self) -> bool:
-        """Report those sensors of one wire that fit their places less than another.
+        """Report sensors of the same wire, except the one that fits its place best.
 
-        Return whether contacts come in pairs: then many sensors repeat others, and those around
-        them repeat those around the others.
+        Return whether contacts occur in pairs: then many sensors repeat others, and so do their
+        neighbours.
         """
         pairs = []
         for group in self.copies:
@@ -347,7 +347,7 @@ class _Checked:
         return False
 
     def _explain(self, search: Search) -> NDArray[np.float64]:
-        """Explain the new places, keep what the final evidence supports, and return the places."""
+        """Explain the new places, and return the places that the final evidence supports."""
         proposed = search.evidence.positions.copy()
         for kind, text, changes in explain_modules(
             search.changes, search.mounting, self.names, self.usable
@@ -376,7 +376,7 @@ class _Checked:
         return self._as_stated(proposed)
 
     def _add(self, kind: str, text: str, changes: Sequence[Change], evidence: Evidence) -> None:
-        """Add a finding on changes, of modules or others, that have one cause."""
+        """Add a finding on changes, of modules or others, with a common cause."""
         agreements = []
         for change in changes:
             sensors = change.move.sensors
@@ -388,7 +388,7 @@ class _Checked:
         distance = np.linalg.norm(
             np.concatenate([change.move.places - change.stated for change in changes]), axis=1
         )
-        # The middle of a module that is turned stays.
+        # The centre of a turned module does not move.
         changed = distance > _SAME * self.spacing
         finding = LayoutFinding(
             kind,
@@ -404,7 +404,7 @@ class _Checked:
         self.findings.append(finding)
 
     def _turned(self, change: Change) -> list[ModuleChange]:
-        """Tell how each module of a change lies then."""
+        """Return the resulting orientation of each module of a change."""
         found: list[ModuleChange] = []
         if not change.modules:
             return found
@@ -427,9 +427,9 @@ class _Checked:
         return found
 
     def _find_overlaps(self, evidence: Evidence) -> None:
-        """Report modules that are nearer than their shape allows, and that no finding explains.
+        """Report modules that are nearer than their shape allows, unless a finding explains this.
 
-        Of two, the one that agrees with fewer others, directly or through modules beside it.
+        Of two modules, the one that agrees with fewer others, directly or indirectly, is reported.
         """
         moved = {i for one in self.findings if one.kind != DEAD for i in one.sensors.tolist()}
         left = [
@@ -454,7 +454,7 @@ class _Checked:
                 f"{join_items(near, _MAX_NAMED)}, but adjacent modules of this shape are "
                 f"{self.mounting.clearance:.3g} apart"
             )
-            # Of two alone, the one that agrees with about as many others may as well be right.
+            # If both agree with about equally many others, either one may be correct.
             told = counts[m] > 1 or SMALLER * size[m] <= size[others[0][1]]
             both = [m] if told else [m, others[0][1]]
             sensors = np.concatenate([self.mounting.members[one] for one in both])
@@ -469,7 +469,7 @@ class _Checked:
         search: Search,
         proposed: NDArray[np.float64],
     ) -> None:
-        """Add a finding on sensors that no module explains, or undo their move."""
+        """Add a finding on sensors that no module explains, or undo the move."""
         stated, there = search.arranged.positions[sensors], proposed[sensors]
         move, back = Move(sensors, there), Move(sensors, stated)
         verdict = search.weigh(search.evidence.moved(back), move, kind)
@@ -484,7 +484,7 @@ class _Checked:
         self._add(kind, text + caveat, [change], search.evidence)
 
     def _as_stated(self, proposed: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return proposed places, with stated ones where nothing changed or another sensor was."""
+        """Return proposed places, replaced by exact stated places of the same or other sensors."""
         apart, owner = map(np.asarray, KDTree(self.positions).query(proposed))
         found = proposed.copy()
         taken = apart <= _SAME * self.spacing
@@ -500,7 +500,7 @@ class _Checked:
             status[self.rows[column]] = OK
         order = list(KINDS)
         findings = sorted(self.findings, key=lambda f: (order.index(f.kind), int(f.sensors.min())))
-        for finding in reversed(findings):  # a dead sensor may have another's place
+        for finding in reversed(findings):  # a dead sensor may have the place of another
             for column in finding.sensors:
                 status[self.rows[column]] = finding.kind
         untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
@@ -541,7 +541,7 @@ def _as_layout(positions: ArrayLike) -> SensorMap:
 def _matched(
     layout: SensorMap, recording: Recording
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], tuple[str, ...]]:
-    """Return rows of the layout, the columns of the same sensors, and notes."""
+    """Return rows of the layout, columns of the same sensors, and notes."""
     columns, notes = match_sensors(layout.names, recording.names, "layout and recording")
     missing = np.flatnonzero(match_names(recording.names, layout.names) < 0)
     if missing.size and not notes:

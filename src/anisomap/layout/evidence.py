@@ -15,10 +15,10 @@ from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.precision import Reals
 
 _MIN_PAIRS = 6  # per bin, for a median and a spread; chosen by hand
-_MIN_SPREAD = 0.05  # of a similarity; keeps distant pairs, which agree closely, from dominating
-_RESOLUTION = 4  # steps per spacing, of which the edges of bins are multiples
+_MIN_SPREAD = 0.05  # of a similarity; prevents dominance of distant pairs, which agree closely
+_RESOLUTION = 4  # steps per spacing; edges of bins are multiples
 _LARGEST = 1000  # spacings; all larger distances are in the last bin
-# Edges of bins in spacings, chosen by hand: 1.25, 1.75 ... 11.75, and then in equal ratios.
+# Edges of bins in spacings, chosen by hand: 1.25, 1.75 ... 11.75, then at equal ratios.
 _EDGES = np.concatenate(
     [
         np.arange(1.25, 12, 0.5),
@@ -29,7 +29,7 @@ _BIN_OF_STEP = np.searchsorted(
     _EDGES, np.arange(_LARGEST * _RESOLUTION + 1) / _RESOLUTION, side="right"
 ).astype(np.uint8)
 _DEGREES = 3.0
-"""Degrees of freedom of Student's t distribution: single pairs that fit no distance count little.
+"""Degrees of freedom of Student's t distribution, which limits the weight of outlying pairs.
 
 Between 2 and 5, the results on icub_torso and nao_torso differ little (seeds 1 to 40).
 """
@@ -55,7 +55,7 @@ class Falloff:
 
     @cached_property
     def table(self) -> NDArray[np.float32]:
-        """Log-likelihood ratio of each code of a similarity in each bin to the last, (B, 256)."""
+        """Log-likelihood ratio of each similarity code in each bin to the last bin, (B, 256)."""
         similarity = np.arange(_N_CODES) / _PER_UNIT - 1
         deviation = (similarity - self.level[:, None]) / self.spread[:, None]
         tail = (_DEGREES + 1) / 2 * np.log1p(deviation**2 / _DEGREES)
@@ -63,7 +63,7 @@ class Falloff:
         return np.asarray(likelihood - likelihood[-1], dtype=np.float32)
 
     def ratio(self, codes: NDArray[np.uint8], bins: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the log-likelihood ratios of `coded` similarities at distances to far ones."""
+        """Return log-likelihood ratios of `coded` similarities in bins to the last bin."""
         return np.asarray(self.table.ravel().take(bins.astype(np.intp) * _N_CODES + codes))
 
     @cached_property
@@ -77,7 +77,7 @@ _PER_UNIT = (_N_CODES - 1) / 2
 
 
 def coded(similarity: Reals) -> NDArray[np.uint8]:
-    """Round similarities to codes, by which likelihoods are looked up."""
+    """Round similarities to codes, the indices of likelihoods."""
     codes: NDArray[np.uint8] = np.rint((similarity + 1) * _PER_UNIT).astype(np.uint8)
     return codes
 
@@ -107,7 +107,7 @@ def fit_falloff(similarity: Reals, positions: NDArray[np.float64], spacing: floa
             level.append(middle)
             spread.append(1.4826 * float(np.median(np.abs(inside - middle))))
             weight.append(inside.size)
-    if not centre:  # so few sensors that no bin is filled
+    if not centre:  # sensors are too few for any bin
         centre, weight = [0], [1]
         level, spread = [float(np.median(values))], [float(np.ptp(values)) / 2]
     decreasing = isotonic_regression(level, weights=weight, increasing=False).x
@@ -120,21 +120,21 @@ def fit_falloff(similarity: Reals, positions: NDArray[np.float64], spacing: floa
 
 
 REACH = 2.6
-"""Distance in spacings up to which sensors count as neighbours; chosen by hand.
+"""Maximum distance of neighbours in spacings; chosen by hand.
 
 The second ring of a hexagonal lattice is 2 spacings away, and modules have gaps of 2.2 spacings.
 """
 
 
 MIN_DISPLACEMENT = 3.0
-"""Spacings to a free place: contacts of unequal reach pull sensors by up to 2.5 spacings."""
+"""Minimum spacings to a free place: contacts of unequal reach shift sensors by up to 2.5."""
 
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Positions other than the stated ones for some sensors.
+    """New positions of some sensors.
 
-    places (m, k): Their new positions.
+    places (m, k): New positions of the sensors.
     """
 
     sensors: NDArray[np.intp]
@@ -156,12 +156,12 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Similarities of n sensors, and the positions that they are compared with.
+    """Similarities of n sensors, and positions for comparison.
 
-    similarity (n, n): Of each two sensors.
-    codes (n, n): The same, `coded`.
+    similarity (n, n): Similarity of each pair of sensors.
+    codes (n, n): `coded` similarities.
     positions (n, k): Current positions.
-    usable: Sensors whose similarities say something.
+    usable: Sensors whose similarities are evidence.
     """
 
     similarity: Reals
@@ -184,13 +184,13 @@ class Evidence:
         return cls(similarity, coded(similarity), positions, usable, falloff)
 
     def refitted(self) -> Evidence:
-        """Return the same with the falloff of the current positions."""
+        """Return a copy with the falloff of the current positions."""
         inside = self.similarity[np.ix_(self.usable, self.usable)]
         falloff = fit_falloff(inside, self.positions[self.usable], self.falloff.spacing)
         return replace(self, falloff=falloff)
 
     def moved(self, move: Move) -> Evidence:
-        """Return the same with some sensors at other positions."""
+        """Return a copy with some sensors at other positions."""
         positions = self.positions.copy()
         positions[move.sensors] = move.places
         return replace(self, positions=positions)
@@ -211,7 +211,7 @@ class Evidence:
         return np.where(self.known, self.falloff.ratio(self.codes, self.bins), np.float32(0))
 
     def gain(self, move: Move) -> float:
-        """Return the increase of the log-likelihood by a move of some sensors together."""
+        """Return the increase of the log-likelihood by a joint move of some sensors."""
         return float(self.gains(move.sensors, self.codes[None])(move.places)[0])
 
     def gains(
@@ -229,7 +229,7 @@ class Evidence:
         within = [one[np.ix_(moved, moved)] for one in codes]
 
         def fit(places: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Pairs of moved sensors are at the distance of their new places, and counted twice.
+            # Pairs of moved sensors have the distances of the new places, and are counted twice.
             sums = [
                 [self.falloff.ratio(one, bins).sum(dtype=np.float64) for one in some]
                 for some, bins in (
@@ -249,8 +249,8 @@ class Evidence:
 
 
 MIN_GAIN = 15.0
-"""Least gain in nats of a move.
+"""Minimum gain of a move in nats.
 
-On the right layouts of icub_torso and nao_torso no swap gains more than 5; every one of 300 seeded
+On the correct layouts of icub_torso and nao_torso, no swap gains more than 5; each of 300 seeded
 swaps of 3 spacings and more gained 35 and more (seed 1).
 """

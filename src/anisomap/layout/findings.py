@@ -19,7 +19,7 @@ NOT_TESTED = "not tested"
 """Status of a sensor without evidence in the recording, or without a stated position."""
 
 DEAD, CONTRADICTING = "dead", "contradicting"
-"""Kinds of findings, of `KINDS`, that do not say of a sensor that it is at a wrong place."""
+"""Kinds of findings, of `KINDS`, that are not about sensors at wrong places."""
 
 KINDS: Mapping[str, str] = MappingProxyType(
     {
@@ -50,12 +50,12 @@ _CERTAIN_Z, _CERTAIN_GAIN = 5.0, 60.0  # standard errors, nats
 
 @dataclass(frozen=True)
 class ModuleChange:
-    """How a module lies against what is stated.
+    """Change of a module relative to the stated layout.
 
     angle: Degrees by which it is turned, counterclockwise in two dimensions, in (-180, 180].
-    mirror: Whether it is a mirror image.
-    old_orientation, new_orientation: Degrees from the axes of the layout to those of the template,
-        which is mirrored before if the module is; NaN in three dimensions.
+    mirror: Whether it is mirrored.
+    old_orientation, new_orientation: Degrees from the axes of the layout to the axes of the
+        template, which is mirrored first if the module is; NaN in three dimensions.
     """
 
     module: str
@@ -82,7 +82,6 @@ class LayoutFinding:
     agreement_stated, agreement_proposed, agreement_second : float
         Mean similarity of the sensors to the sensors around their stated, proposed and second
         best places; NaN if there are no such sensors or places.
-        "contradicting": "modules that contradict each other; which are wrong cannot be told",
     gain : float
         Increase of the log-likelihood of all similarities, in nats; NaN if no place is proposed.
     z : float
@@ -104,7 +103,7 @@ class LayoutFinding:
 
     @property
     def certainty(self) -> str:
-        """How sure the finding is: ``"certain"``, ``"likely"``; empty if no place is proposed."""
+        """Certainty: ``"certain"`` or ``"likely"``; empty if no place is proposed."""
         if not np.isfinite(self.z):
             return ""
         return "certain" if self.z >= _CERTAIN_Z and self.gain >= _CERTAIN_GAIN else "likely"
@@ -141,7 +140,7 @@ class LayoutCheck:
         at least half of the sensors are at wrong places, so single sensors are not listed; or
         ``"unknown"``: the recording has too little evidence.
     notes : tuple of str
-        What was not tested, and other caveats.
+        Untested sensors, and other caveats.
     """
 
     layout: SensorMap
@@ -158,7 +157,7 @@ class LayoutCheck:
 
     @property
     def consistent(self) -> bool:
-        """Whether the layout explains the readings, and nothing was found."""
+        """Whether the layout explains the readings, and there are no findings."""
         return self.verdict == CONSISTENT
 
     @property
@@ -173,7 +172,7 @@ class LayoutCheck:
 
     @property
     def flagged(self) -> NDArray[np.bool_]:
-        """Mask of the sensors whose place or wire is wrong, not of dead ones, shape (N,)."""
+        """Mask of the sensors with a wrong place or wire, except dead sensors, shape (N,)."""
         return np.array(
             [status not in (OK, NOT_TESTED, DEAD, CONTRADICTING) for status in self.status], bool
         )
@@ -190,9 +189,9 @@ class LayoutCheck:
 
 
 def at_positions(layout: SensorMap, positions: NDArray[np.float64]) -> SensorMap:
-    """Return a layout with other positions for the sensors that have one.
+    """Return a layout with other positions of its placed sensors.
 
-    A sensor with another position takes the normal of the nearest stated place, if normals are
+    A sensor with a changed position takes the normal of the nearest stated place, if normals are
     known.
     """
     normals = layout.normals

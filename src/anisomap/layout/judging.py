@@ -14,20 +14,20 @@ from anisomap.layout.evidence import MIN_GAIN, REACH, Evidence, Move, coded
 from anisomap.layout.readings import ReadingStatistics
 
 MIN_Z = 3.0
-"""Least gain of a change, in standard errors of the jackknife over parts of the recording."""
+"""Minimum gain of a change, in standard errors of the jackknife over parts of the recording."""
 
 MIN_GROUP_GAIN = 30.0
-"""Least gain in nats of a module or run, whose pairs have errors in common, or at a free place."""
+"""Minimum gain in nats of a module or run, whose pairs have common errors, or at a free place."""
 
-_IN_PLACE, _LIKELY = 40.0, 60.0  # the same of a module that is turned in its place
-_CERTAIN_Z = 5.0  # with fewer, right modules beside a patch that moved gained up to 51
+_IN_PLACE, _LIKELY = 40.0, 60.0  # the same for a module that is turned in its place
+_CERTAIN_Z = 5.0  # below it, correct modules beside a moved patch gained up to 51
 
 _MIN_AGREEMENT, _MIN_OF_FEW = 0.48, 0.1
-"""Least gain of agreement, relative to the median agreement, at any place and at one of a few.
+"""Minimum gain of agreement, relative to the median agreement, at any place and at one of a few.
 
-The best of all places agrees better than a right one by 0.4 to 0.55 if readings are shifted in time
-(torso and arm of an iCub). On the right layouts of nao_torso, nao_head and insole_L, patches on
-places that no sensor has gained up to 0.45.
+If readings are shifted in time, the best of all places agrees better than the correct place by 0.4
+to 0.55 (torso and arm of an iCub). On the correct layouts of nao_torso, nao_head and insole_L,
+patches on free places gained up to 0.45.
 """
 
 _WIDTH = 1.3  # spacings, of the Gaussian weights of neighbours; chosen by hand
@@ -39,10 +39,10 @@ class Verdict:
     """Evidence for a move.
 
     gain: Increase of the log-likelihood, in nats.
-    least: What it must be at least.
+    least: Minimum gain.
     z: Gain in standard errors.
-    agrees: Whether the sensors agree better with those around them, too. Most of a group must: a
-        few wrong ones among right ones would agree better wherever all of them were moved.
+    agrees: Whether the sensors also agree better with their neighbours. Most sensors of a group
+        must: a few wrong sensors among correct ones would agree better at any place of the group.
     """
 
     gain: float
@@ -52,7 +52,7 @@ class Verdict:
 
     @property
     def told(self) -> bool:
-        """Whether the likelihood rises beyond its uncertainty."""
+        """Whether the likelihood increases beyond its uncertainty."""
         return self.gain >= self.least and self.z >= MIN_Z
 
     @property
@@ -64,7 +64,7 @@ class Verdict:
 class Judge:
     """Weighs moves by the statistics of the readings.
 
-    evidence: At the stated places.
+    evidence: Evidence at the stated places.
     few: Whether contacts are few, so that each change must gain twice as much.
     """
 
@@ -78,12 +78,12 @@ class Judge:
         self._typical = float(np.median(own)) if own.size else 0.0
 
     def certainly_gains(self, evidence: Evidence, move: Move) -> bool:
-        """Return whether the likelihood rises beyond its uncertainty."""
+        """Return whether the likelihood increases beyond its uncertainty."""
         gain, z = self.gain(evidence, move)
         return gain >= MIN_GROUP_GAIN and z >= MIN_Z
 
     def gain(self, evidence: Evidence, move: Move) -> tuple[float, float]:
-        """Return the gain of a move, and it in standard errors."""
+        """Return the gain of a move, in nats and in standard errors."""
         gain, parts = evidence.gain(move), evidence.gains(move.sensors, self._parts)(move.places)
         variance = np.sum((parts - parts.mean()) ** 2) * (1 - 1 / len(parts))
         return gain, gain / max(float(np.sqrt(variance)), 1e-9)
@@ -100,12 +100,12 @@ class Judge:
     ) -> Verdict:
         """Weigh the evidence for a move.
 
-        group: Whether sensors move together, as a module does.
-        free: Whether to places that no sensor has. Readings of the sensors of a patch have errors
-            in common, and each pair of them must gain as much as two that are swapped.
+        group: Whether sensors move together, like a module.
+        free: Whether the move is to free places. Readings of sensors of a patch have common errors,
+            so each pair must gain as much as two swapped sensors.
         few: Whether the group is at one of a few places: of other modules, or some channels on.
-        in_place: Whether it turns a module at its place. Half of its sensors may have no others
-            around them then, so that agreement tells less.
+        in_place: Whether the move turns a module at its place. Half of its sensors may then have
+            no neighbours, so that agreement is weaker evidence.
         """
         gain, z = self.gain(evidence, move)
         turned = _IN_PLACE if z >= _CERTAIN_Z else _LIKELY
@@ -124,18 +124,18 @@ class Judge:
             of_all = float(np.median(gains))
         agrees = (
             of_all > self._typical * (_MIN_OF_FEW if few else _MIN_AGREEMENT)
-            # No right sensor takes part in an exchange of others.
+            # A correct sensor must not take part in an exchange of others.
             and (group or free or gains[0] > 0)
-            # If most sensors are moved, too few are left to compare them with.
+            # If most sensors are moved, too few remain for comparison.
             and 2 * len(move.sensors) <= np.count_nonzero(evidence.usable)
-            # Layouts of closed bodies are cut open: a module is near others on both sides.
+            # In layouts of closed bodies, cut open, a module is near others on both sides of a cut.
             and (not free or around(evidence, move).gain(move) >= 0)
         )
         return Verdict(gain, least, z, bool(agrees))
 
 
 def around(evidence: Evidence, move: Move) -> Evidence:
-    """Return the evidence of the moved sensors with those around their present places only."""
+    """Return the evidence of the moved sensors with sensors around their present places only."""
     distances = cdist(evidence.positions[move.sensors], evidence.positions)
     near = np.asarray((distances <= evidence.reach).any(axis=0))
     near[move.sensors] = True
@@ -145,7 +145,7 @@ def around(evidence: Evidence, move: Move) -> Evidence:
 def agreement(
     evidence: Evidence, sensors: NDArray[np.intp], places: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the mean similarity of sensors to those around places, which did not move with them.
+    """Return the mean similarity of sensors to unmoved sensors around places.
 
     places (m, k) -> (m,); NaN without neighbours.
     """
@@ -159,7 +159,7 @@ def agreement(
 def agreement_gains(evidence: Evidence, move: Move) -> NDArray[np.float64]:
     """Return the increase of the `agreement` of each sensor that a move displaces, sorted.
 
-    Without neighbours, agreement is 0; sensors without any before and after do not count.
+    Without neighbours, agreement is 0; sensors without neighbours before and after are excluded.
     """
     here = evidence.positions[move.sensors]
     before, after = (agreement(evidence, move.sensors, places) for places in (here, move.places))
@@ -175,7 +175,7 @@ def own_agreement(evidence: Evidence) -> NDArray[np.float64]:
 
 
 def neighbour_weights(evidence: Evidence) -> Any:
-    """Return the weights of the usable sensors around each position, without its own sensor."""
+    """Return the weights of the usable sensors around each position, except its own sensor."""
     weights = _weights(evidence, cdist(evidence.positions, evidence.positions))
     weights *= evidence.usable
     np.fill_diagonal(weights, 0)
@@ -188,7 +188,7 @@ def _weights(evidence: Evidence, distances: NDArray[np.float64]) -> NDArray[np.f
 
 
 def _means(sums: NDArray[np.float64], weights: Any) -> NDArray[np.float64]:
-    """Divide sums by those of their weights; NaN where these are small."""
+    """Divide sums by sums of weights; NaN where these are small."""
     total = np.asarray(weights.sum(axis=1))
     unknown = np.full(sums.shape, np.nan)
     return np.asarray(np.divide(sums, total, out=unknown, where=total > _MIN_WEIGHT))

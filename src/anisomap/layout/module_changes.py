@@ -1,4 +1,4 @@
-"""Places and orientations of all modules that explain the readings best."""
+"""Search for the places and orientations of all modules that explain the readings best."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from anisomap.layout.together import AGREEING, bonds, border
 from anisomap.numerics.neighbours import linked_labels
 
 MIN_TESTED = 4
-"""Least number of tested pads that orient a module; three fitted wrong ones by chance."""
+"""Minimum number of tested pads for an orientation; three fitted wrong orientations by chance."""
 
 MIN_RUN = 4  # modules in reverse order; two are exchanged
 _MAX_ROUNDS = 12
-_N_SLOTS = 12  # places, beside its own, that a module may have; chosen by hand
-_FAR = 9.0  # spacings beyond which sensors say nothing about a place
-_BESIDE = 0.1  # least evidence that a changed module is adjacent to others, of that expected
+_N_SLOTS = 12  # places, besides its own, that a module may take; chosen by hand
+_FAR = 9.0  # spacings beyond which sensors are no evidence of a place
+_BESIDE = 0.1  # minimum evidence that a changed module is adjacent to others, relative to expected
 _NONE = -1e6
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Modules at other places, or in another orientation at their own.
+    """Modules at other places, or in another orientation at their own places.
 
-    modules: One, or several of which each has the place of the next, or that move together.
-    slots, turns: The proposed ones of these modules.
+    modules: One module, several of which each has the place of the next, or a joint move.
+    slots, turns: Proposed slots and orientations of these modules.
     stated: Places before, (m, k).
-    move: From the stated places to the proposed ones.
+    move: Move from the stated to the proposed places.
     """
 
     modules: tuple[int, ...]
@@ -55,13 +55,13 @@ class Change:
 
 
 class Arrangement:
-    """Search for a slot and an orientation of each module, from the stated ones on.
+    """Search for a slot and an orientation of each module, starting from the stated ones.
 
-    Orientations are improved by chains of flips, and slots by one linear assignment in which each
-    change has a price, in turn. Then the changes that do not hold are undone, the weakest first.
+    Orientations are improved by chains of flips, and slots by a linear assignment in which each
+    change has a price, alternately. Then, changes that do not hold are undone, the weakest first.
 
-    stated: With modules unbent at their stated places.
-    evidence, changes: After all changes that hold, and these.
+    stated: Evidence with modules unbent at their stated places.
+    evidence, changes: Evidence after all changes that hold, and these changes.
     """
 
     def __init__(self, evidence: Evidence, mounting: Mounting, judge: Judge) -> None:
@@ -75,9 +75,9 @@ class Arrangement:
         )
 
     def run(self, *, rows: bool = True) -> Arrangement:
-        """Make all changes that hold, and return itself.
+        """Make all changes that hold, and return the arrangement.
 
-        rows: Whether to look for rows of modules in reverse order.
+        rows: Whether to search for rows of modules in reverse order.
         """
         if not self._tested.any() or len(self._tested) < 2:
             return self
@@ -93,7 +93,7 @@ class Arrangement:
             same = np.array_equal(before, [*self._slot, *self._turn])
             if same and calm:
                 break
-            calm = same  # without any exchange left, some move to free places
+            calm = same  # moves to free places follow when no exchange is left
         self.evidence, self.changes = self._changes()
         return self
 
@@ -129,7 +129,7 @@ class Arrangement:
         self._turn = field.best(self._turn)
 
     def _fits(self, evidence: Evidence, wanted: NDArray[np.bool_]) -> tuple[Any, Any]:
-        """Return how well modules fit slots, if they are wanted there, and in which orientation.
+        """Return the best fits of modules in requested slots, and the orientations.
 
         wanted (M, S) -> the log-likelihood ratio, and the orientation, both (M, S).
         """
@@ -166,7 +166,7 @@ class Arrangement:
         return fits, turns
 
     def _likely(self, evidence: Evidence, n_slots: int) -> NDArray[np.bool_]:
-        """Mark the slots around which the sensors are that are most similar to each module."""
+        """Mark the slots surrounded by the sensors that are most similar to each module."""
         usable = evidence.usable
         radius = evidence.reach + self.mounting.pitch
         around = cdist(self.mounting.middles[:n_slots], evidence.positions) <= radius
@@ -189,7 +189,7 @@ class Arrangement:
         return np.asarray(likely & self._tested[:, None])
 
     def _reassign(self, evidence: Evidence, *, free: bool) -> None:
-        """Assign modules to slots, also to free ones, and make the changes that hold."""
+        """Assign modules to slots, optionally free ones, and make the changes that hold."""
         n_modules = len(self._slot)
         n_slots = len(self.mounting.frames) if free else n_modules
         wanted = np.zeros((n_modules, len(self.mounting.frames)), bool)
@@ -223,7 +223,7 @@ class Arrangement:
                     moved.update(target)
 
     def _reverse(self, evidence: Evidence) -> None:
-        """Reverse the order of the row of modules that gains most, if it gains certainly."""
+        """Reverse the order of the row of modules with the greatest gain, if it is certain."""
         sensors = np.concatenate(self._members)
         kept = evidence.usable[sensors]
         module = np.repeat(np.arange(len(self._members)), [len(m) for m in self._members])[kept]
@@ -257,7 +257,7 @@ class Arrangement:
         self._accept([(m, row[0] + row[-1] - m, 0) for m in row if 2 * m != row[0] + row[-1]])
 
     def _accept(self, placed: list[tuple[int, int, int]]) -> bool:
-        """Place modules as proposed, and return True, if that gains certainly."""
+        """Place modules as proposed if the gain is certain; return whether they were placed."""
         if not placed:
             return False
         evidence, move = self._arranged(), self._move(placed)
@@ -265,8 +265,8 @@ class Arrangement:
             return False
         held = set(self._slot.tolist())
         if any(slot not in held for _, slot, _ in placed):
-            # A free place is near anything, and must be right by all criteria. A module that
-            # agrees with those around it stays.
+            # A free place must be correct by all criteria. A module that agrees with adjacent
+            # modules is not moved.
             lost = not border(evidence, self._members, [m for m, _, _ in placed]) > -AGREEING
             if not (lost and self._judge.weigh(evidence, move, group=True, free=True).holds):
                 return False
@@ -289,16 +289,16 @@ class Arrangement:
             groups += [(m,) for m in np.flatnonzero(self._turn != 0).tolist() if m not in changed]
             found = self._as_groups(evidence, [self._weighed(evidence, one) for one in groups])
             found = self._as_rows(evidence, found)
-            # Modules that agree with none around them are elsewhere, however they lie.
+            # Modules that agree with no adjacent module are elsewhere, in any orientation.
             there, expected = (one.sum(axis=1) for one in bonds(evidence, self._members))
             wrong = []
             for one in found:
                 some = list(one.modules)
                 beside = there[some].sum() >= _BESIDE * expected[some].sum()
-                if one.slots != one.modules and not one.row:  # right ones beside wrong ones
+                if one.slots != one.modules and not one.row:  # correct ones beside wrong ones
                     beside = bool((there[some] >= AGREEING * expected[some]).all())
                 if not set(one.slots) <= set(some):
-                    # On bodies that are cut open, one fits beside others across the cut, too.
+                    # On bodies cut open, a module also fits beside others across the cut.
                     before = evidence.moved(Move(one.move.sensors, one.stated))
                     against = np.delete(bonds(before, self._members)[0][some], some, axis=1)
                     beside &= -np.minimum(against, 0).sum() >= one.verdict.gain / 2
@@ -313,7 +313,7 @@ class Arrangement:
                 self._slot[m], self._turn[m] = m, 0
 
     def _weighed(self, evidence: Evidence, group: tuple[int, ...]) -> Change:
-        """Weigh a change against the stated places, with all others as proposed."""
+        """Weigh a change against the stated places, with all other changes made."""
         back = self._move([(m, m, 0) for m in group])
         before = evidence.moved(back)
         move = self._move([(m, int(self._slot[m]), int(self._turn[m])) for m in group])
@@ -327,9 +327,9 @@ class Arrangement:
         return Change(group, slots, turned, back.places, move, verdict)
 
     def _as_groups(self, evidence: Evidence, changes: list[Change]) -> list[Change]:
-        """Give adjacent modules that are flipped alike, one fault, the certainty of all of them.
+        """Give equal flips of adjacent modules, a single fault, their common certainty.
 
-        Each must still gain enough by itself.
+        Each must still gain enough separately.
         """
         found = list(changes)
         for group in alike(changes, self.mounting):
@@ -343,9 +343,9 @@ class Arrangement:
         return found
 
     def _as_rows(self, evidence: Evidence, changes: list[Change]) -> list[Change]:
-        """Join the exchanges that reverse a row of modules, one fault, each of which is told.
+        """Join the exchanges that reverse a row of modules, a single fault; each is reported.
 
-        Modules at the end of a row may agree with none beside it, and some may be silent.
+        Modules at the end of a row may agree with no adjacent module, and some may be silent.
         """
         pairs = {
             (min(one.modules), max(one.modules)): one
@@ -355,7 +355,7 @@ class Arrangement:
         rows: dict[tuple[int, int], tuple[int, ...]] = {}
         for a, b in sorted(pairs, key=lambda pair: pair[1] - pair[0]):
             inner = rows.get((a + 1, b - 1), ())
-            if len(inner) == (b - a - 1) // 2 * 2:  # up to the middle
+            if len(inner) == (b - a - 1) // 2 * 2:  # up to the centre
                 rows.pop((a + 1, b - 1), None)
                 rows[a, b] = (a, *inner, b)
         found = list(changes)
@@ -368,7 +368,7 @@ class Arrangement:
 
 
 def alike(changes: Sequence[Change], mounting: Mounting) -> list[list[int]]:
-    """Group the changes of modules at their own places by patches that have one fault in common."""
+    """Group the changes of modules at their own places by patches with a common fault."""
     alone = [i for i, one in enumerate(changes) if one.slots == one.modules and not one.together]
     if not alone:
         return []
@@ -376,7 +376,7 @@ def alike(changes: Sequence[Change], mounting: Mounting) -> list[list[int]]:
     faults = np.zeros((len(alone), 3))
     for fault, i, m in zip(faults, alone, modules, strict=True):
         way, frame = mounting.orientations[changes[i].turns[0]], mounting.frames[m]
-        # Adjacent modules in space have the same side to the outside.
+        # In space, adjacent modules have the same outer side.
         hand = float(np.sign(np.linalg.det(frame))) if len(frame) == 2 else 1.0
         fault[:] = way.reflected, 0 if way.reflected else round(hand * way.angle), way.backwards
     same = (faults[:, None] == faults).all(axis=2) & mounting.adjacent[np.ix_(modules, modules)]
@@ -385,6 +385,6 @@ def alike(changes: Sequence[Change], mounting: Mounting) -> list[list[int]]:
 
 
 def _chains(target: Mapping[int, int], slot: NDArray[np.intp]) -> list[list[int]]:
-    """Divide modules with other targets into chains, each of which has the place of the next."""
+    """Divide modules with other targets into chains, in which each has the place of the next."""
     holder = {s: m for m, s in enumerate(slot.tolist())}
     return chains({m: holder.get(s, -1) for m, s in target.items() if s != slot[m]})

@@ -1,4 +1,4 @@
-"""Proposals that patches and single sensors belong to places where no sensor is."""
+"""Proposals that patches and single sensors belong to free places."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from anisomap.layout.sensors import place_gains
 from anisomap.numerics.neighbours import linked_labels
 from anisomap.numerics.procrustes import rotations
 
-_MIN_GAP = 0.5  # spacings between sensors of a moved patch and others, which are not in its way
-_MAX_IN_THE_WAY = 0.2  # share of a patch that may come nearer: others may be wrong, too
+_MIN_GAP = 0.5  # minimum spacings between sensors of a moved patch and others
+_MAX_IN_THE_WAY = 0.2  # share of a patch that may be nearer: others may be wrong, too
 
-_MIN_PATCH = 3  # sensors, which have an orientation
+_MIN_PATCH = 3  # minimum sensors for an orientation
 _MIN_RATIO = 2.0  # nats by which a link must favour its distance over a large one; by hand
-_N_ANGLES = 24  # turns, and as many reflections
+_N_ANGLES = 24  # rotations, and as many reflections
 _N_LINKS = 40  # most similar pairs of a sensor of a patch and another, which should be near
-_NEAR = 2.5  # spacings up to which such pairs are
-_N_TRIED = 60  # motions of which the likelihood is computed
-_N_REFINED = 3  # of these, the best
-_MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is placed against
+_NEAR = 2.5  # maximum spacings of such pairs
+_N_TRIED = 60  # motions whose likelihood is computed
+_N_REFINED = 3  # best motions, which are refined
+_MAX_SHARE = 0.5  # of the sensors: a patch is smaller than the remainder
 _MAX_EVALUATIONS = 150  # per refinement
 _PRECISION = 0.05  # spacings; smaller than the distances of the falloff's bins
 
@@ -34,10 +34,10 @@ _PRECISION = 0.05  # spacings; smaller than the distances of the falloff's bins
 def free_moves(
     evidence: Evidence, loose: NDArray[np.bool_], home: NDArray[np.float64], *, alone: bool
 ) -> list[Proposal]:
-    """Propose the best place of each patch of loose sensors, moved as a whole, or of single ones.
+    """Propose the best place of each patch of loose sensors, or of single loose sensors.
 
-    These agree with no neighbour, or fit a place that is not near theirs better. Pads of a module
-    return to it alone.
+    Loose sensors agree with no neighbour, or fit a distant place better. Pads of a module return
+    only to the module.
 
     home (n, k): See `Mounting`.
     """
@@ -71,12 +71,12 @@ def _held_together(evidence: Evidence) -> list[NDArray[np.intp]]:
 def motions(
     evidence: Evidence, sensors: NDArray[np.intp], least: float, *, shifted: bool = True
 ) -> list[Move]:
-    """Return the motions of a patch to where no other sensors are, the best first.
+    """Return the motions of a patch to free places, the best first.
 
-    Turned and mirrored about its middle, it stays, or, if it may be shifted, moves such that
+    The patch is turned and mirrored about its centre, and, if it may be shifted, moved so that
     similar sensors are near.
 
-    least: Spacings by which the median sensor moves.
+    least: Minimum move of the median sensor in spacings.
     """
     here = evidence.positions[sensors]
     others = evidence.usable.copy()
@@ -112,7 +112,7 @@ def _near_similar(
     outside: NDArray[np.intp],
     starts: list[NDArray[np.float64]],
 ) -> list[NDArray[np.float64]]:
-    """Shift a patch from places such that it is near the sensors that are most similar to it."""
+    """Shift a patch so that it is near the sensors that are most similar to it."""
     kept = evidence.usable[sensors]
     similarity = evidence.similarity[np.ix_(sensors[kept], outside)]
     links = np.argsort(-similarity, axis=None, kind="stable")[:_N_LINKS]
@@ -129,7 +129,7 @@ def _near_similar(
 
 
 def turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Turn and mirror points (m, k) about their middle, in their plane."""
+    """Turn and mirror points (m, k) about their centre, in their plane."""
     centre, k = points.mean(axis=0), points.shape[1]
     axes = np.eye(k) if k == 2 else np.linalg.svd(points - centre, full_matrices=False)[2]
     flat = (points - centre) @ axes.T
@@ -147,7 +147,7 @@ def turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 def _refined(
     gain: Callable[[NDArray[np.float64]], float], guess: NDArray[np.float64], spacing: float
 ) -> NDArray[np.float64]:
-    """Refine the place, and the rotation of three and more sensors, from a first guess."""
+    """Refine the place, and for three or more sensors the rotation, from an initial estimate."""
     dimensions = guess.shape[1]
     centre = guess.mean(axis=0)
     radius = max(float(np.linalg.norm(guess - centre, axis=1).max()), spacing)

@@ -1,4 +1,4 @@
-"""Search for the changes of places that explain the readings better than the stated places."""
+"""Search for changes of places that explain the readings better than the stated places."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from anisomap.layout.together import AGREEING, border, moved_patches, on_places,
 
 _MAX_ROUNDS = 12
 _PRICE_OF_PATCH = 100.0  # nats; by hand
-_MIN_RUN_GAIN = 60.0  # nats; beside a patch that moved, a run of a right module gained 41
-_LEFT = 0.5  # share of its gain that a move must keep after others have been made; by hand
+_MIN_RUN_GAIN = 60.0  # nats; beside a moved patch, a run of a correct module gained 41
+_LEFT = 0.5  # share of its gain that a move must keep after other moves; by hand
 
 SMALLER = 1.3
-"""Times as many modules of a part, of two that contradict each other, that count as right."""
+"""Ratio of numbers of modules from which the larger of two contradicting parts is correct."""
 
 
 def _price(change: Change) -> float:
-    """Return the nats that a change of modules costs."""
+    """Return the price of a change of modules in nats."""
     free = not set(change.slots) <= set(change.modules)
     return MIN_GROUP_GAIN * len(change.modules) * (2 if free else 1)
 
 
 class Search:
-    """Greedy search: modules first, all together; then moves of others, in order of their gain.
+    """Greedy search: all modules jointly first; then moves of other sensors, in order of gain.
 
-    evidence: With modules unbent at their stated places; after a search, with all changes.
-    arranged: After the search of modules.
-    mounting: Where modules are, patches turned as proposed.
-    changes: Of patches and modules.
-    undecided: Patches of which one moved against the other, but not certainly which.
-    unsure: Modules whose orientation the readings leave open.
-    made: Proposals for sensors that no module explains, which hold.
+    evidence: Evidence with modules unbent at stated places; after a search, with all changes.
+    arranged: Arrangement after the search of modules.
+    mounting: Places of modules, with patches turned as proposed.
+    changes: Changes of patches and modules.
+    undecided: Pairs of patches that moved relative to each other; it is uncertain which one moved.
+    unsure: Modules whose orientation is not certain.
+    made: Proposals that hold, for sensors that no module explains.
     """
 
     def __init__(self, evidence: Evidence, mounting: Mounting, judge: Judge) -> None:
@@ -52,7 +52,7 @@ class Search:
         self._explained: set[int] = set()
 
     def run_modules(self, *, patches: bool = True) -> Evidence:
-        """Change modules, and patches of them if they are to move; return the evidence then."""
+        """Change modules, and patches if these may move; return the resulting evidence."""
         joint = Arrangement(self.evidence, self.mounting, self.judge).run()
         self._rows = any(change.row for change in joint.changes)
         moved: list[Change] = []
@@ -61,7 +61,7 @@ class Search:
             if found is None:
                 break
             joint = found[1]
-            # A patch may have moved to beside another one that was wrong.
+            # A patch may have moved next to another patch at a wrong place.
             for first in moved:
                 back = Move(first.move.sensors, first.stated)
                 rest = {m for one in (*moved, found[0]) if one is not first for m in one.modules}
@@ -79,13 +79,13 @@ class Search:
         return self.evidence
 
     def _next_patch(self, joint: Arrangement) -> tuple[Change, Arrangement] | None:
-        """Return a patch that moved for certain, and modules arranged with it moved."""
+        """Return a patch that certainly moved, and the arrangement with this patch moved."""
         self.undecided, start, mounting = [], joint.stated, joint.mounting
         for modules, move in moved_patches(start, mounting, joint.evidence):
             if any({*modules} <= {*one, *other} for one, other in self.undecided):
                 continue
             others, back = other_side(start, mounting, modules, move)
-            # Which of two parts moved against each other is a matter of reference.
+            # Relative motion alone does not determine which of two parts moved.
             ratio = len(others) / len(modules)
             if 0 < ratio <= 1 / SMALLER:
                 found = self._patch(joint, others, on_places(start, mounting, others, back) or back)
@@ -98,7 +98,7 @@ class Search:
         return None
 
     def _with(self, joint: Arrangement, modules: Sequence[int], move: Move) -> Arrangement:
-        """Arrange modules again with some of them moved together."""
+        """Arrange modules again, with some of them moved as a patch."""
         turned = joint.stated.moved(move)
         mounting = joint.mounting.moved(modules, turned.positions)
         return Arrangement(turned, mounting, self.judge).run(rows=self._rows)
@@ -106,7 +106,7 @@ class Search:
     def _patch(
         self, joint: Arrangement, modules: list[int], move: Move
     ) -> tuple[Change, Arrangement] | None:
-        """Move a patch, and then modules; return None if it is not certain that it moved."""
+        """Move a patch, then modules; return None unless the patch certainly moved."""
         members, stated = joint.mounting.members, joint.stated.positions[move.sensors]
         if not border(joint.stated.moved(move), members, modules) > 0:
             return None
@@ -119,7 +119,7 @@ class Search:
         price, before = (sum(map(_price, one.changes)) for one in (other, joint))
         fewer = price + _PRICE_OF_PATCH < before
         fewer = fewer and joint.evidence.gain(all_moves) > -MIN_GROUP_GAIN
-        # Few pads are at the border: their agreement with others tells less than all pads.
+        # Pads at the border are few, so their agreement is weaker evidence than all pads.
         left, then = (border(one.evidence, members, modules) for one in (joint, other))
         better = then - left > AGREEING and self.judge.certainly_gains(joint.evidence, all_moves)
         if not (verdict.told and then > AGREEING and (fewer or better)):
@@ -129,8 +129,8 @@ class Search:
     def run_sensors(self) -> None:
         """Move patches, runs of channels, and single sensors that no module explains.
 
-        Sensors are moved alone once no other move is left: most that fit another place have changed
-        places with others that say where they belong.
+        Sensors are moved alone only when no other move is left: most sensors that fit another place
+        were exchanged with sensors whose readings show their places.
         """
         loose = np.ones(len(self.evidence.usable), dtype=bool)
         loose[[i for inside in self.mounting.members for i in inside.tolist()]] = False

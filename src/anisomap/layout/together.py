@@ -1,4 +1,4 @@
-"""Patches, groups of adjacent modules, that are turned, mirrored or shifted as a whole."""
+"""Patches (groups of adjacent modules) that are turned, mirrored or shifted as a whole."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from anisomap.numerics.neighbours import linked_labels
 from anisomap.numerics.procrustes import fit_similarity
 
 AGREEING = 0.35
-"""Least evidence that two modules are adjacent, as a share of what is expected if they are.
+"""Minimum evidence that two modules are adjacent, relative to the evidence expected if they are.
 
-In right layouts of the iCub's torso it is 0.5 and more, around a turned patch 0.05 and less, and of
-modules that are elsewhere -0.6 and less.
+In correct layouts of the iCub's torso, it is 0.5 and more; around a turned patch, 0.05 and less;
+and for modules that are elsewhere, -0.6 and less.
 """
 
-_MAX_SHARE = 0.5  # of the sensors: a patch is smaller than what it is moved against
-_N_GROUPS = 8  # the smallest groups that are contradicted
-_N_BEST = 3  # patches that are tried
-_LEAST = 2.0  # spacings by which the median sensor moves
+_MAX_SHARE = 0.5  # of the sensors: a patch is smaller than the remainder
+_N_GROUPS = 8  # smallest contradicted groups
+_N_BEST = 3  # patches tried
+_LEAST = 2.0  # minimum move of the median sensor in spacings
 _SAME = 0.6  # spacings of pads: turned patches of bent layouts fit their places less than exactly
 _PULL = 1.0  # the same, on flat layouts: contacts of unequal reach pull patches
 _NEARLY = 0.9  # of its gain: a patch on places of modules is nearly as good as at the best place
@@ -37,8 +37,8 @@ def moved_patches(
 ) -> list[tuple[list[int], Move]]:
     """Propose modules that fit better turned, mirrored or shifted as a patch, the best first.
 
-    arranged: With modules moved one by one, of which those that are contradicted are patches, too;
-        groups that then agree with those around them, unchanged, are right.
+    arranged: Evidence with modules moved separately. Contradicted groups in it are also patches;
+        unchanged groups that agree with adjacent modules in it are correct.
     """
     largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
     found = []
@@ -55,13 +55,13 @@ def moved_patches(
         # Layouts in space are bent: there, patches gain by any small motion.
         moves = motions(evidence, sensors, _LEAST, shifted=flat)
         if moves and evidence.gain(moves[0]) >= MIN_GROUP_GAIN:
-            # On bodies that are cut open, a patch fits beside others across the cut, too.
+            # On bodies cut open, a patch also fits beside others across the cut.
             beside = around(evidence, moves[0]).gains(sensors, evidence.codes[None])
             gains = np.concatenate([beside(move.places) for move in moves])
             worth = gains.max() - MIN_GROUP_GAIN * len(group)
             if worth >= 0:
                 found.append((worth, group, moves[(gains >= _NEARLY * gains.max()).argmax()]))
-    # The one of two groups that explains more at their border is wrong: both gain across a cut.
+    # Of two groups, the one with more evidence at the border is wrong: both gain across a cut.
     found.sort(key=lambda one: -one[0])
     best = [(group, on_places(evidence, mounting, group, one)) for _, group, one in found[:_N_BEST]]
     return [(group, move) for group, move in best if move]
@@ -70,7 +70,7 @@ def moved_patches(
 def bonds(
     evidence: Evidence, members: Sequence[NDArray[np.intp]]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the evidence that modules are adjacent, and what is expected if they are, (M, M).
+    """Return the evidence that modules are adjacent, and its expectation if they are, (M, M).
 
     It is the log-likelihood ratio of the similarities of near pads to those of distant pads.
 
@@ -92,9 +92,9 @@ def bonds(
 def border(
     evidence: Evidence, members: Sequence[NDArray[np.intp]], modules: Sequence[int]
 ) -> float:
-    """Return the evidence that some modules are beside the others, over what is expected.
+    """Return the evidence that some modules are adjacent to the others, relative to expectation.
 
-    It is about 1 if they are, and about -1 if they are elsewhere; NaN without any others near.
+    It is about 1 if they are, and about -1 if they are elsewhere; NaN without near modules.
     """
     found, expected = (
         float(np.delete(one[list(modules)], modules, axis=1).sum())
@@ -106,9 +106,9 @@ def border(
 def other_side(
     evidence: Evidence, mounting: Mounting, modules: list[int], move: Move
 ) -> tuple[list[int], Move]:
-    """Return the modules that contradict some at their border, if any, and their reverse motion.
+    """Return the modules that contradict given ones at their border, and the reverse motion.
 
-    They agree with each other.
+    These modules agree with each other.
     """
     found, expected = bonds(evidence, mounting.members)
     against, agreeing = found[modules].sum(axis=0), found > AGREEING * expected
@@ -123,7 +123,7 @@ def other_side(
 
 
 def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
-    """Return the patches apart from a larger one that fit nearly as well turned or mirrored."""
+    """Return the patches separate from a larger one that fit nearly as well turned or mirrored."""
     if mounting.n_modules < 2:
         return []
     label = linked_labels(mounting.adjacent)
@@ -143,7 +143,7 @@ def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
 
 
 def _contradicted(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
-    """Return the groups of modules that agree with each other, but with none around them.
+    """Return the groups of modules that agree with each other, but with no adjacent module.
 
     Greedy additive edge contraction: Keuper et al. (2015), ICCV, 1751-1759.
     """
@@ -168,7 +168,7 @@ def _contradicted(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
 def _beside(
     mounting: Mounting, modules: list[int], move: Move, shapes: NDArray[np.float64]
 ) -> list[Move]:
-    """Return motions near one with a module exactly on a place, shapes (S, O, P, k)."""
+    """Return motions near a given one with a module exactly on a place, shapes (S, O, P, k)."""
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
     ways = [o for o, one in enumerate(mounting.orientations) if one.fits and not one.backwards]
     found = []
@@ -183,9 +183,9 @@ def _beside(
 def on_places(
     evidence: Evidence, mounting: Mounting, modules: list[int], move: Move
 ) -> Move | None:
-    """Return a motion, on flat layouts with a module on a place of one, or beside others.
+    """Return a motion; on flat layouts, with a module on or next to the place of a module.
 
-    None if all modules stay at their own places: then each is turned by itself.
+    None if all modules stay at their own places, since each is then turned separately.
     """
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
     off = [
@@ -205,5 +205,5 @@ def on_places(
 
 
 def _apart(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:
-    """Return the root mean square distance between two places of sensors."""
+    """Return the root mean square distance between two sets of places."""
     return float(np.sqrt(((places - others) ** 2).sum(axis=1).mean()))

@@ -14,23 +14,23 @@ from anisomap.layout.evidence import Evidence, Move
 from anisomap.layout.judging import MIN_GROUP_GAIN, Judge, neighbour_weights
 
 N_PERMUTATIONS = 199
-"""Number of shuffled layouts that a layout is compared with."""
+"""Number of shuffled layouts for comparison."""
 
-_MAX_STEP = 24  # sensors by which a whole order is shifted
-_N_RIVALS = 5  # orders that are compared exactly
+_MAX_STEP = 24  # maximum shift of a whole order in sensors
+_N_RIVALS = 5  # orders compared exactly
 _SAME = 0.25  # spacings between places that count as the same
-_MAX_IMAGES = 400  # rotations and reflections of a layout that are tried
+_MAX_IMAGES = 400  # rotations and reflections of a layout to try
 
 
 def agreement_as_a_whole(
     evidence: Evidence, rng: np.random.Generator, *, n_permutations: int = N_PERMUTATIONS
 ) -> tuple[float, float]:
-    """Return how well a layout explains the similarities as a whole: its p, and its share.
+    """Return the agreement of a layout with the similarities as a whole: p and share.
 
-    p: Of a layout whose sensors are shuffled.
-    share: Agreement beyond that of shuffled layouts, over that of each sensor with the others that
-        it resembles most, as many as it has neighbours. If a share s of the sensors is shuffled, it
-        is (1 - s)^2 of that of the right layout, since both sensors of a pair must be right.
+    p: Probability that a layout with shuffled sensors agrees as well.
+    share: Agreement beyond shuffled layouts, relative to the highest possible agreement, i.e. of
+        each sensor with as many of the most similar sensors as it has neighbours. If a share s of
+        the sensors is shuffled, it is (1 - s)^2 of the correct layout's, as for pairs.
     """
     usable = np.flatnonzero(evidence.usable)
     weights: Any = neighbour_weights(evidence)[usable][:, usable]
@@ -59,7 +59,7 @@ def agreement_as_a_whole(
 class ScanOrder:
     """Another order of all sensors.
 
-    step: Each sensor has the place of the one that many later; 0 if the order is reversed.
+    step: Each sensor has the place of the sensor `step` later; 0 if the order is reversed.
     order (n,): Sensor i has the place ``order[i]``.
     """
 
@@ -68,7 +68,7 @@ class ScanOrder:
 
     @property
     def text(self) -> str:
-        """The order in words."""
+        """Description of the order."""
         if not self.step:
             return "the reverse order"
         count = "one place" if abs(self.step) == 1 else f"{abs(self.step)} places"
@@ -79,9 +79,9 @@ class ScanOrder:
 class Rival:
     """The order of all sensors, other than the stated one, that fits the readings best.
 
-    better: Whether it explains the readings beyond doubt better than the stated one, and others.
+    better: Whether it explains the readings certainly better than the stated and other orders.
     worse: Whether it explains them clearly worse.
-    evidence: In this order.
+    evidence: Evidence in this order.
     """
 
     order: ScanOrder
@@ -91,7 +91,7 @@ class Rival:
 
 
 def best_rival(evidence: Evidence, judge: Judge) -> Rival | None:
-    """Find the shifted or reversed order of all sensors that fits best, unless all are alike."""
+    """Find the best-fitting shifted or reversed order of all sensors, unless all are equal."""
     n_sensors = len(evidence.positions)
     everyone = np.arange(n_sensors)
     weights: Any = neighbour_weights(evidence)
@@ -102,7 +102,7 @@ def best_rival(evidence: Evidence, judge: Judge) -> Rival | None:
     orders += [ScanOrder(sign * s, np.roll(everyone, -sign * s)) for s in steps for sign in (1, -1)]
 
     def fit(order: NDArray[np.intp]) -> float:
-        """Sum the similarities of the sensors around each other in some order."""
+        """Sum the similarities of neighbouring sensors in some order."""
         at = np.argsort(order)  # the sensor at each place
         known = evidence.usable[at[first]] & evidence.usable[at[second]]
         return float(values @ (evidence.similarity[at[first], at[second]] * known))
@@ -110,14 +110,14 @@ def best_rival(evidence: Evidence, judge: Judge) -> Rival | None:
     moves = []
     for one in sorted(orders, key=lambda one: -fit(one.order)):
         places = evidence.positions[one.order]
-        # Rotations and reflections of the layout are no rivals.
+        # Rotations and reflections of the layout are not rivals.
         if not np.allclose(pdist(places), pdist(evidence.positions), atol=_SAME * evidence.reach):
             moves.append((Move(everyone, places), one))
         if len(moves) == _N_RIVALS:
             break
     if not moves:
         return None
-    # The falloff of a wrong order hardly falls.
+    # The falloff in a wrong order is nearly flat.
     falloff = evidence.moved(moves[0][0]).refitted().falloff
     gains = [replace(evidence, falloff=falloff).gain(move) for move, _ in moves]
     move, best = moves[int(np.argmax(gains))]
@@ -130,7 +130,7 @@ def best_rival(evidence: Evidence, judge: Judge) -> Rival | None:
 
 
 def own_images(positions: NDArray[np.float64], spacing: float) -> int:
-    """Count the rotations and reflections, beside the identity, that map a layout onto itself.
+    """Count the rotations and reflections, except the identity, that map a layout onto itself.
 
     positions (n, k), k 2 or 3. Such layouts fit the same readings equally well.
     """

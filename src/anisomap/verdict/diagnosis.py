@@ -1,6 +1,6 @@
-"""Diagnosis of a map: sensor health, the verdict, and the notes that follow from them.
+"""Diagnosis of a map: sensor health, the verdict, and resulting notes.
 
-All are computed from a map and its recording; none changes a position.
+All are computed from a map and its recording; positions are not changed.
 """
 
 from __future__ import annotations
@@ -50,18 +50,18 @@ from anisomap.verdict.second_map import (
     spacing_varies,
 )
 
-_SAME = 1e-6  # of the extent; rounding errors of a map that was scaled or turned are far below
+_SAME = 1e-6  # of the extent; far above rounding errors of a scaled or rotated map
 
 UNCLEAR = Note("unclear-dimensions")
 
 FATAL = ("changed",)
-"""Faults after which similar readings do not mean that sensors are near."""
+"""Faults with which similar readings do not indicate that sensors are near."""
 
 UNSEEN = ("copies", "separate-regions")
-"""Faults that misplace sensors in all maps alike, so that the estimated error does not show them.
+"""Faults that misplace sensors equally in all maps, so that estimated errors do not include them.
 
-Among 2,100 maps in five tables of benchmark `trust`, 13 with copies were wrong although their
-estimate was that of a usable map; among 66 with other faults or notes, 1 was.
+Of 2,100 maps in five tables of benchmark `trust`, 13 with copies were wrong in spite of an estimate
+for a usable map; of 66 with other faults or notes, 1 was.
 """
 
 
@@ -80,7 +80,7 @@ def diagnose(
     progress: Callable[[float], None] | None = None,
     stages: Stages | None = None,
 ) -> SensorMap:
-    """Add sensor health, a verdict and the notes that follow from them to a map.
+    """Add sensor health, a verdict and resulting notes to a map.
 
     Parameters
     ----------
@@ -93,12 +93,12 @@ def diagnose(
     drop : iterable of str or int
         Sensors that were left out of the map, by name or index; their faults are not noted.
     health : sequence of SensorHealth, optional
-        From `anisomap.assess`, if computed already.
+        From `anisomap.assess`, if already computed.
     findings : sequence of Finding, optional
-        From `anisomap.find_faults`, if computed already.
+        From `anisomap.find_faults`, if already computed.
     with_verdict : bool
-        Whether to judge the map, and to estimate the covariance of every position, by maps of
-        resampled recordings and a second map.
+        Whether to judge the map and estimate the covariance of every position, by maps of resampled
+        recordings and a second map.
     contacts : str
         Shape of all contacts: ``"compact"``, as of a fingertip, a palm or a ball, or
         ``"elongated"``, as of an edge or a roller; taken from the metadata of the recording by
@@ -113,7 +113,7 @@ def diagnose(
         Called with the completed share, from 0 to 1.
     stages : Stages, optional
         From `anisomap.method.pipeline.reconstruct_with_stages`, if the map comes from it.
-        Without them, the map is made again; the result is the same.
+        Without stages, the map is made again, with the same result.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def diagnose(
     Raises
     ------
     InputError
-        If the sensors of the recording are not those of the map, or `contacts` is unknown.
+        If the sensors of recording and map differ, or `contacts` is unknown.
 
     Warns
     -----
@@ -188,7 +188,7 @@ def examine(
     faults: Sequence[Finding] = (),
     contacts: str = "",
 ) -> tuple[Measurements, NDArray[np.float64] | None]:
-    """Measure what is known of the errors of a map, and the covariances of its positions."""
+    """Measure the errors of a map as far as possible, and the covariances of its positions."""
     sizes = sensor_map.component_sizes
     measured = Measurements(
         placed=int(np.count_nonzero(sensor_map.placed)),
@@ -218,7 +218,7 @@ def examine(
         done, share = sum(sizes[:label]) / sum(sizes), size / sum(sizes)
         positions = made.positions[made.component == label]
         recipe, told = METHODS[sensor_map.method], _part_of(report, done, share)
-        with limited_blas(1):  # products are those of short blocks of frames, or of few sensors
+        with limited_blas(1):  # products are of short blocks of frames, or of few sensors
             deviations = deviations_by_chance(
                 part, positions, recipe, options, rng=generator, progress=told
             )
@@ -255,7 +255,7 @@ def examine(
 
 
 def _stated(contacts: str, recording: Recording) -> str:
-    """Return what is stated of contacts, or what the metadata state."""
+    """Return the stated shape of contacts, or the shape in the metadata."""
     if contacts and contacts not in CONTACTS:
         raise InputError(f"contacts must be {' or '.join(CONTACTS)}, got {contacts!r}")
     told = str(recording.metadata.get("contacts", ""))
@@ -265,7 +265,7 @@ def _stated(contacts: str, recording: Recording) -> str:
 def _between_dimensions(made: Configuration, other: Configuration) -> tuple[float, float]:
     """Compare the maps in 2 and in 3 dimensions, as a whole and in regions, in spacings.
 
-    Of the sensors in the largest components of both.
+    Sensors in the largest components of both maps are compared.
     """
     both = (made.component == 0) & (other.component == 0)
     flat, spatial = sorted((made.positions[both], other.positions[both]), key=lambda x: x.shape[1])
@@ -274,7 +274,7 @@ def _between_dimensions(made: Configuration, other: Configuration) -> tuple[floa
 
 
 def _gain_of_third(evidence: Evidence, *made: Configuration) -> float:
-    """Return what a third dimension explains, over what n more coordinates would of noise."""
+    """Return the gain by a third dimension relative to the gain of n coordinates from noise."""
     flat, spatial = (one.largest for one in sorted(made, key=lambda one: one.positions.shape[1]))
     if flat is None or spatial is None:
         return 0.0
@@ -285,13 +285,13 @@ def _gain_of_third(evidence: Evidence, *made: Configuration) -> float:
 
 
 def _of_one_period(recording: Recording) -> tuple[Note, ...]:
-    """Say that almost all of the readings of a part is one sine."""
+    """Return a note if the readings of a part are almost entirely one sine."""
     found = map(one_period, recording.parts)
     return tuple(Note("one-period", share=one[0], period=one[1]) for one in found if one)[:1]
 
 
 def _rarely_touched(sensor_map: SensorMap, recording: Recording) -> int:
-    """Count the placed sensors with few contacts in each part, if they are touched at all."""
+    """Count the placed sensors with few contacts in each part; 0 if sensors are not touched."""
     if not recording.touched:
         return 0
     most = dict.fromkeys(sensor_map.names, 0)
@@ -305,10 +305,10 @@ def _rarely_touched(sensor_map: SensorMap, recording: Recording) -> int:
 def _judged(
     sensor_map: SensorMap, recording: Recording, options: MethodOptions, stages: Stages | None
 ) -> tuple[SensorMap, Stages] | Note:
-    """Return the map that is measured and its stages, or why none can be.
+    """Return the map to measure and its stages, or the reason why there is none.
 
-    It is the given map, apart from its scale and pose. If parts of the recording lack sensors, it
-    is a map of the sensors that all parts have.
+    It is the given map, apart from scale and pose. If parts of the recording lack sensors, it is a
+    map of the sensors in all parts.
     """
     common = set(sensor_map.names).intersection(*(part.names for part in recording.parts))
     kept = [name for name in sensor_map.names if name in common]
@@ -324,7 +324,7 @@ def _judged(
     unplaced = [made.names[i] for i in np.flatnonzero(~made.placed)]
     chosen = made is sensor_map and "chosen_dimensions" in made.provenance
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", AnisomapWarning)  # the notes of the map have them
+        warnings.simplefilter("ignore", AnisomapWarning)  # repeated in the notes of the map
         try:
             again, stages = reconstruct_with_stages(
                 recording.select(recording.indices(kept)),
@@ -341,7 +341,7 @@ def _judged(
 
 
 def _follows(sensor_map: SensorMap, stages: Stages) -> bool:
-    """Return whether a map has the positions of some stages, but for its scale and pose."""
+    """Return whether a map has the positions of given stages, apart from scale and pose."""
     found, placed = stages.configuration, sensor_map.component[sensor_map.placed]
     if not np.array_equal(found.component, placed):
         return False
@@ -352,7 +352,7 @@ def _follows(sensor_map: SensorMap, stages: Stages) -> bool:
 
 
 def _unknown(sensor_map: SensorMap, n_frames: int, *, whole: bool) -> Note | None:
-    """Return why the errors of a map cannot be known, and what to do; None if they can."""
+    """Return a note on why the errors of a map cannot be estimated; None if they can."""
     method = METHODS.get(sensor_map.method)
     if method is None or sensor_map.similarity not in (
         method.similarity,

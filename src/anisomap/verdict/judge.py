@@ -1,12 +1,12 @@
-"""The verdict on one page: measurements of a map's errors, the accuracy to expect, and the rule.
+"""The verdict on one page: measurements of a map's errors, the expected accuracy, and the rule.
 
-Resamples of a recording show what chance does to a map, but not what bends all maps alike. Maps
-that rest on other assumptions show this: the numbers of steps between sensors on a graph of
-neighbours assume nothing of contacts, but that neighbours are equally far apart, and the metric
-alone is long around thin parts. The accuracy of maps of known skins followed these measurements,
-that of steps taken over the whole map or in regions. The constants were chosen such that few wrong
-maps and many good ones are usable (``docs/development/verdicts.md``);
-``python -m benchmarks.verdicts.calibration`` fits them to other maps, without each kind in turn.
+Resamples of a recording show errors by chance, but not errors common to all maps. Maps with
+different assumptions show the latter: numbers of steps on a graph of neighbours make no assumption
+about contacts, but assume equal distances between neighbours; the metric alone is too long around
+thin parts. The accuracy of maps of known skins is related to these measurements, over the whole map
+or in regions. The constants were chosen so that few wrong maps and many good maps are usable
+(``docs/development/verdicts.md``); ``python -m benchmarks.verdicts.calibration`` fits them to other
+maps, without each kind in turn.
 """
 
 from __future__ import annotations
@@ -21,119 +21,120 @@ from anisomap.map_verdict import COMPACT, ELONGATED, Verdict
 from anisomap.notes import Note
 
 MIN_AGREEMENT = 0.4
-"""Least correlation of the similarities of two halves, over pairs of sensors.
+"""Minimum correlation of the similarities of two halves, over pairs of sensors.
 
-Independent noises exceed it with a probability below 1 in 1,000: 12 sensors have 66 pairs, whose
+Independent noise exceeds it with a probability below 1 in 1,000: 12 sensors have 66 pairs, whose
 correlation has a standard deviation of .12 by chance. See ``docs/explanation/trust.md``.
 """
 
 MAX_ERROR, MAX_RELATIVE = 1.0, 0.4
-"""Upper end of the interval of the error of a usable map, in spacings, and over its extent."""
+"""Maximum upper bound of the error of a usable map, in spacings, and relative to its extent."""
 
 MIN_KEPT = 0.7
-"""Lower end of the interval of the share of kept neighbours of a map that is usable for neighbours.
+"""Minimum lower bound of the share of kept neighbours of a map that is usable for neighbours.
 
 In the benchmark `trust` (seeds 7001 to 7119), 176 maps reach it, and 8 % of them keep fewer.
 """
 
 MAX_FOR_NEIGHBOURS = 0.4
-"""Expected error of a map that is usable for neighbours, relative to its extent: .26 at most on
-63 skins; mixtures of few signals, which are nowhere, had more than the extent.
+"""Maximum expected error of a map that is usable for neighbours, relative to its extent. It was at
+most .26 on 63 skins, and above 1 for mixtures of few signals, which have no positions.
 """
 
 GAIN_OF_BENT, BENT = 15.0, 0.23
-"""What a third dimension explains, over what it would of noise, above which a flat map is doubted;
-and the share of the maps below it that are of bent skins: of those with expected errors below .5,
-18 of 78, and 12 of 16 above (seeds 63001 to 63200, 66001 to 66400). On saddles it hardly improves
-the fit of lengths.
+"""Share explained by a third dimension, relative to noise, above which a flat map is doubtful; and
+the share of bent skins among maps below it: 18 of 78 maps with expected errors below .5. Above it,
+12 of 16 were of bent skins (seeds 63001 to 63200, 66001 to 66400). On saddles, a third dimension
+hardly improves the fit of lengths.
 """
 
 CONFIRMING, HEMISPHERE = 2.3, 0.35
-"""Differences of the maps in 2 and 3 dimensions, over the expected error and over the extent,
-between which 3 dimensions that were not clear are confirmed. The second is that of a hemisphere and
-its equidistant map, sqrt(1 - (pi^2 / 16 + 1 / 4)^2 / (pi - 2) / .75); what is bent more is closed,
-and clear. Of 800 skins, it undoes 3 of 5 false confirmations and none of 14 of good maps.
+"""Differences of the maps in 2 and 3 dimensions, relative to the expected error and to the extent,
+between which 3 dimensions that were not clear are confirmed. The second is the difference of a
+hemisphere and its equidistant map, sqrt(1 - (pi^2 / 16 + 1 / 4)^2 / (pi - 2) / .75). Skins that are
+bent more are closed, and clear. On 800 skins, this prevents 3 of 5 false confirmations, and none of
+14 of good maps.
 """
 
 MAX_CHANCE = 1.0
-"""Repeatability, in spacings, beyond which sensors change places with neighbours by chance."""
+"""Maximum repeatability, in spacings; beyond it, sensors and neighbours are exchanged by chance."""
 
 MAX_RARELY_TOUCHED = 1 / 2
-"""Share of the placed sensors with few contacts, above which a map says nothing of neighbours."""
+"""Maximum share of placed sensors with few contacts; with more, neighbours are uncertain."""
 
 MIN_LARGEST, MIN_FRAGMENT = 0.9, 1 / 3
-"""Shares of the placed sensors in the largest component of a usable map, and of a map at all."""
+"""Minimum shares of placed sensors in the largest component: of a usable map, and of any map."""
 
 
-_MUCH = 0.4  # spacings by which maps of resamples differ, from which advice follows; by hand
+_MUCH = 0.4  # difference of maps of resamples in spacings for which advice is given; by hand
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number, and the interval that holds the true one for nine of ten maps."""
+    """A number, and the interval that contains the true number for nine of ten maps."""
 
     value: float
     low: float
     high: float
 
     def plus(self, size: float, scale: float) -> Estimate:
-        """Return, scaled, the estimate with a further error of a known size, independent of it."""
+        """Add an independent error of known size to the estimate, and scale the result."""
         ends = self.value, self.low, self.high
         return Estimate(*(scale * math.hypot(one, size) for one in ends))
 
 
 BY_CHANCE, BY_STEPS, BY_METRIC, BY_PATHS, BY_LENGTH = 0.95, 0.27, (0.63, 1.0), 0.8, 1.5
 """Expected error per RMS difference of resamples; per difference from the map of steps, and from
-the metric's, in 2 and in 3 dimensions; per difference from that of paths, where sensors are not
-evenly spaced; and, if contacts are stated to be elongated, over that of compact ones.
+the map of the metric, in 2 and in 3 dimensions; per difference from the map of path lengths, if
+sensors are unevenly spaced; and factor if contacts are stated to be elongated.
 """
 
 MAX_EXTENT = 0.7
-"""Most extent of n evenly spaced sensors, in spacings, over the root of n: that of lattices about
-five times as long as wide; squares have .41, spheres .28."""
+"""Maximum extent of n evenly spaced sensors, in spacings, relative to the root of n: as of lattices
+about five times as long as wide; .41 for squares, .28 for spheres."""
 
 ERROR_INTERVAL = (0.5, 2.0)
-"""5 % and 95 % quantiles of true errors, relative to the expected ones."""
+"""5 % and 95 % quantiles of true errors, relative to expected errors."""
 
 REGION_BY_CHANCE, REGION_BY_DIFFERENCE, REGION_INTERVAL = 0.40, 0.51, (0.5, 2.0)
 """Error of regions per RMS difference of resamples, and per difference of regions of the two maps;
-and its interval, relative to it.
+and the relative interval of this error.
 """
 
 NEIGHBOURS, NEIGHBOURS_SLOPE, NEIGHBOURS_INTERVAL = 1.35, -1.08, (-1.0, 1.3)
-"""Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(e)``, with the error e of
-regions, and their interval.
+"""Log odds that a neighbour is kept, ``NEIGHBOURS + NEIGHBOURS_SLOPE log(e)`` for an error e of
+regions, and the interval of these log odds.
 """
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """What is known about the errors of a map.
+    """Measurements of the errors of a map.
 
-    repeatability: RMS difference of the positions that chance makes, in spacings; NaN if unknown.
+    repeatability: RMS difference of positions by chance, in spacings; NaN if unknown.
     difference: RMS difference from the second map, in spacings.
     metric: RMS difference from the map of the metric alone, in spacings.
-    regional: The same of regions, each aligned by itself.
-    between: RMS difference of the maps in 2 and 3 dimensions, in spacings, where the number was
-        chosen; else 0. The same of regions: regions_between.
-    spatial: Whether the map has 3 dimensions. unclear: Whether the metric did not show the number.
-    chosen: Whether the number was chosen. gain: What a third dimension explains of the variance of
-        the correlations, over what it would explain of sampling noise; 0 if unknown.
-    uneven: Whether the sensors are not evenly spaced on the map. crowded: Whether the map is more
-        crowded in some places than in others. known_uneven: Whether sensors are stated not to be
-        evenly spaced. contacts: What is stated of contacts, one of
-        `anisomap.map_verdict.CONTACTS`; empty if nothing is.
+    regional: `difference` of regions, each aligned separately.
+    between: RMS difference of the maps in 2 and 3 dimensions, in spacings, if the number was
+        chosen; else 0. regions_between: The same difference of regions.
+    spatial: Whether the map has 3 dimensions. unclear: Whether the metric did not determine this.
+    chosen: Whether the number was chosen. gain: Share of the variance of the correlations that a
+        third dimension explains, relative to sampling noise; 0 if unknown.
+    uneven: Whether the sensors are unevenly spaced on the map. crowded: Whether the density of
+        sensors varies on the map. known_uneven: Whether sensors are stated to be unevenly spaced.
+        contacts: Stated shape of contacts, one of `anisomap.map_verdict.CONTACTS`; empty if none
+        is stated.
     extent: RMS distance of the sensors from their centre, in spacings.
-    agreement: Of two halves of the recording: see `agreement_of_halves`.
-    paired: Whether the sensors pair off: see `sensors_pair_off`.
+    agreement: Agreement of two halves of the recording: see `agreement_of_halves`.
+    paired: Whether the sensors form pairs: see `sensors_pair_off`.
     placed: Number of sensors with positions.
-    rarely: Number of these with fewer contacts than their positions need.
+    rarely: Number of placed sensors with too few contacts for a position.
     largest: Number of sensors in the largest component.
-    linked: Number of these that significant correlations connect; all, if None.
+    linked: Number of the latter that significant correlations connect; all, if None.
     faults: Sentences on faults of the recording that the measurements show.
-    unseen: Sentences on what spoils the map in a way that the measurements do not show.
-    fatal: Sentences on faults that hide which sensors are near.
-    unknown: Why the repeatability is unknown, and what to do; empty if it is known.
+    unseen: Sentences on faults of the map that the measurements do not show.
+    fatal: Sentences on faults with which similar readings do not indicate near sensors.
+    unknown: Reason why the repeatability is unknown, with advice; empty if it is known.
     """
 
     repeatability: float = math.nan
@@ -170,31 +171,31 @@ class Measurements:
 
     @property
     def doubt(self) -> float:
-        """Share of such maps that have the wrong number of dimensions; 1 if it is the larger."""
+        """Share of such maps with an incorrect number of dimensions; 1 if this is the majority."""
         if self.unclear or self.spatial:
             return float(self.unclear and not self.confirmed)
         return 1.0 if self.gain > GAIN_OF_BENT else BENT
 
     @property
     def conditional(self) -> bool:
-        """Whether the other number of dimensions, though less likely, gives another map."""
+        """Whether the less likely number of dimensions results in a different map."""
         differ = not self.spatial and self.between > self.error.value
         return self.between > 0 and (differ or self.unclear or self.doubt == 1)
 
     @property
     def untold(self) -> tuple[Note, ...]:
-        """The number of dimensions if it is not clear, and runs that lack sensors have one map."""
+        """Note on an unclear number of dimensions if there is a single map, as for unequal runs."""
         return (Note("unclear-dimensions"),) if self.unclear and not self.between else ()
 
     @property
     def unseen_squash(self) -> bool:
-        """Whether long contacts may have compressed the map, or a fold crowded it, unnoticed."""
+        """Whether undetected compression by long contacts, or crowding by a fold, is possible."""
         irregular = self.uneven or self.crowded
         return irregular and not (self.known_uneven and self.contacts == COMPACT)
 
     @property
     def error(self) -> Estimate:
-        """Expected error if the number of dimensions is right: the root of a sum of squares."""
+        """Expected error if the number of dimensions is correct: the root of a sum of squares."""
         parts = [BY_STEPS * self.difference, BY_METRIC[self.spatial] * self.metric]
         parts = [BY_PATHS * self.difference] if self.uneven else parts
         factor = BY_LENGTH if self.contacts == ELONGATED else 1.0
@@ -209,7 +210,7 @@ class Measurements:
 
     @property
     def ruining(self) -> tuple[str, ...]:
-        """Sentences on what leaves nothing of a map usable."""
+        """Sentences on faults that make the whole map unusable."""
         found = [*self.fatal]
         if self.agreement < MIN_AGREEMENT:
             found.append(Note("halves-disagree", agreement=self.agreement))
@@ -221,7 +222,7 @@ class Measurements:
 
 
 def judge(measured: Measurements) -> Verdict:
-    """Return the verdict that follows from what was measured."""
+    """Return the verdict that follows from the measurements."""
     ruined = measured.ruining
     limits = [*ruined, *measured.unseen, *measured.untold]
     if measured.largest < MIN_LARGEST * measured.placed:
@@ -279,7 +280,7 @@ def _conditions(measured: Measurements, error: float, *, usable: bool) -> Iterat
 
 
 def _reasons(measured: Measurements, *, advise: bool) -> tuple[Note, ...]:
-    """Say what the measurements mean, that which adds more to the expected error first."""
+    """Return notes on the measurements, ordered by contribution to the expected error."""
     repeatability, difference = measured.repeatability, measured.difference
     chance = Note("chance", size=repeatability, much=advise and repeatability > _MUCH)
     kind = "map-of-paths" if measured.uneven else "second-map"
@@ -292,9 +293,9 @@ _GREATEST = 1e6  # spacings: keeps the odds finite
 
 
 def region_error(repeatability: float, difference: float, error: float) -> Estimate:
-    """Estimate the RMS error of regions, at most that of the map, all in spacings.
+    """Estimate the RMS error of regions, at most the error of the map, all in spacings.
 
-    difference: That of regions of two maps, each aligned by itself.
+    difference: Difference of regions of two maps, each aligned separately.
     """
     found = math.hypot(REGION_BY_CHANCE * repeatability, REGION_BY_DIFFERENCE * difference)
     found = min(found, error)

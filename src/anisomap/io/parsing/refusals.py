@@ -1,9 +1,8 @@
-"""Files that are not read, text that looks like a table of frames and is none, and what is right.
+"""Refusal of unsupported files, and of text that resembles a table of frames, with advice.
 
-Formats that a library of Python reads are refused with the line that makes a recording or a map of
-what it returns. Text is refused if sensors would be lost or mixed, read as it stands:
-printed arrays whose middle is left out, frames of a CAN bus, what ``ros2 topic echo`` prints, and
-tables with a line per reading, per board or per sensor.
+Formats that a Python library reads are refused with the code that converts them to a recording or a
+map. Text is refused if sensors would be lost or mixed: abbreviated printed arrays, frames of a CAN
+bus, output of ``ros2 topic echo``, and tables with a line per reading, per board or per sensor.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ FROM_EVENTS = (
     "in Python, anisomap.Recording.from_events(times, sensors, bin_width=..., names=...) makes a "
     "recording of them"
 )
-"""What is right for lists of contacts or spikes."""
+"""Advice for lists of contacts or spikes."""
 
 _MOMENTS = {"event", "frame", "touch", "sample"}
 _ACTIVE = {"taxel", "sensor", "channel", "electrode", "unit", "neuron", "id", "contact", "active"}
@@ -40,7 +39,7 @@ _ROWS_LOOKED_AT, _MIN_LENGTHS = 50, 3
 
 
 class _Foreign(NamedTuple):
-    """A format that is not read: what would be right, its suffixes, and a pattern of its start."""
+    """An unsupported format: advice, suffixes, and a pattern of its start."""
 
     what: str
     remedy: str
@@ -79,7 +78,7 @@ _ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
 _MIN_SHARE = 0.3  # of lines without their middle
 _DOCUMENT = re.compile(r"\s*+\[\s*+\[")
 _BYTES = r"(?<![\w.])(?:(?:[0-9A-F]{2}){1,2}h?[\s,]+)"
-# The least share of the lines that match a pattern, and what to say.
+# Minimum share of lines that match a pattern, and the message.
 # fmt: off
 _KINDS = (
     (0.5, r"\b[0-9A-F]{3,8}(?:##?[0-9A-F]*(?: [RT])?$|\s+\[\d+\](?:\s+[0-9A-F]{2})*$)"
@@ -118,12 +117,12 @@ def refuse_foreign(path: Path, suffix: str, head: bytes = b"") -> None:
 
 
 def remedy_of(name: str) -> str:
-    """Return what is right for a file that is not written; empty for one that is not known."""
+    """Return advice for an unsupported output format; empty for an unknown format."""
     return next((each.remedy for each in _FOREIGN if name.endswith(each.suffixes)), "")
 
 
 def refuse_text(path: Path, sample: Sequence[str]) -> None:
-    """Raise RefusedError for lines of a kind that no table has."""
+    """Raise RefusedError for lines that do not occur in tables."""
     lines = [line for line in sample if not is_skipped(line)]
     if not lines and any(map(_NUMBERED.match, sample)):
         raise RefusedError(f"{path}: all lines begin with #, which marks comments: remove it")
@@ -184,10 +183,10 @@ def refuse_lists(table: Table, sample: Sequence[str]) -> None:
 
 
 def lines_per_frame(rows: NDArray[np.float64]) -> int:
-    """Return after how many lines rows, (t, n), resemble earlier ones; 0 if it is the next line.
+    """Return the number of lines after which rows, (t, n), resemble earlier ones; 0 for the next.
 
-    Changes are compared with those from line to line. The rule fires in none of 1,670 parts of real
-    recordings, and in most matrices of which each line is a row, where contacts are slow.
+    Changes are compared with changes between successive lines. The rule applies in none of 1,670
+    parts of real recordings, and in most matrices with a row per line, if contacts are slow.
     """
     rows = np.where(np.abs(rows) < 1e30, rows, 0)[:, :: 1 + rows.shape[1] // _MOST_COLUMNS]
     last = np.abs(np.diff(rows, axis=0))
@@ -205,7 +204,7 @@ def lines_per_frame(rows: NDArray[np.float64]) -> int:
 
 
 def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -> None:
-    """Raise RefusedError for a table of which several lines are a frame, or one line a sensor.
+    """Raise RefusedError for a table with several lines per frame, or a line per sensor.
 
     known: Columns that are a time or a counter.
     """
@@ -237,7 +236,7 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
 
 
 def rows_of(table: Table, sample: Sequence[str]) -> list[list[str]]:
-    """Return the cells of the frames, but for lines that do not fit."""
+    """Return the cells of the frames, except lines that do not fit."""
     body = sample[table.first_line - 1 :]
     if table.numeric == "":
         found = (fields for _, fields in all_records(body, table.delimiter))
@@ -254,7 +253,7 @@ def _cells(table: Table, line: str) -> list[str]:
 
 
 def _number_frames(rows: Sequence[Sequence[str]], height: int) -> bool:
-    """Return whether a column has one value in all lines of a frame, and another in the next."""
+    """Return whether a column is constant in all lines of a frame, and changes between frames."""
     for cells in zip(*rows, strict=False):
         runs = [len([*run]) for _, run in itertools.groupby(cells)]
         if {*runs[1:-1]} == {height} and max(runs) == height:  # the ends may be cut
@@ -276,10 +275,10 @@ def _cycle(cells: Sequence[str]) -> list[str]:
 
 
 def _refuse_events(path: Path, lines: Sequence[str]) -> None:
-    """Raise RefusedError for lines of a moment and a sensor, or all sensors that were active.
+    """Raise RefusedError for lines of a time and a sensor, or of all active sensors.
 
-    The header, or the keys of JSON, name both; without a header, rows of whole numbers, each once,
-    have several lengths.
+    The header, or JSON keys, name both; without a header, rows of distinct whole numbers have
+    several lengths.
     """
     mark = next((mark for mark in ";\t," if mark in lines[0]), None)
     cells = ([cell.strip("\"' []") for cell in line.strip().split(mark)] for line in lines)
