@@ -123,8 +123,8 @@ def examine(
     """Decide which columns are sensors.
 
     table (t, n_columns): First rows; None if all are sensors, or axes of them.
-    Returns names without units, the columns that are no sensors with what they are, taxels with
-    three axes, and what to say, by the option of the command line that changes it.
+    Returns names without units, columns that are not sensors with their kinds, taxels with three
+    axes, and messages by the command-line option that changes the choice.
     """
     others = {} if table is None else find_others(names, table)
     names, said = without_units(names), dict[str, str]()

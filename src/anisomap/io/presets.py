@@ -125,7 +125,7 @@ def _without_empty_cells(recording: Recording) -> Recording:
     return replace(recording, readings=np.where(empty, 0, recording.readings))
 
 
-_MIN_SEEN, _SHIFTED = 300, 0.2  # frames; by how much rows are more unlike than others
+_MIN_SEEN, _SHIFTED = 300, 0.2  # frames; minimum excess of the difference between rows
 
 Numbering: TypeAlias = Callable[[Recording], dict[int, str]]
 """Function that returns the index and name of each value of a recording that is a sensor."""

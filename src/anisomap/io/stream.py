@@ -370,7 +370,7 @@ def salvage(blocks: Iterator[Block], path: Path) -> Iterator[Block]:
 
 
 class Frame(NamedTuple):
-    """Readings, shape (N,), the fraction of the file read so far, and two times as of a `Block`."""
+    """Readings, shape (N,), the fraction of the file read so far, and two times as in a `Block`."""
 
     readings: NDArray[Any]
     fraction: float

@@ -146,7 +146,7 @@ class Proposal:
     """A move and its gain.
 
     gain: Increase of the log-likelihood of all similarities, in nats.
-    kind: ``"swapped"``, ``"shifted"`` or ``"moved"`` to places that no sensor has.
+    kind: ``"swapped"``, ``"shifted"`` or ``"moved"`` to free places.
     """
 
     gain: float

@@ -29,7 +29,7 @@ _LEAST = 2.0  # minimum move of the median sensor in spacings
 _SAME = 0.6  # spacings of pads: turned patches of bent layouts fit their places less than exactly
 _PULL = 1.0  # the same, on flat layouts: contacts of unequal reach pull patches
 _NEARLY = 0.9  # of its gain: a patch on places of modules is nearly as good as at the best place
-_FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns are hardly told
+_FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns can hardly be detected
 
 
 def moved_patches(
@@ -72,7 +72,7 @@ def bonds(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the evidence that modules are adjacent, and its expectation if they are, (M, M).
 
-    It is the log-likelihood ratio of the similarities of near pads to those of distant pads.
+    It is the log-likelihood ratio of the similarities of pads if near, relative to distant pads.
 
     members: Sensors of each module.
     """

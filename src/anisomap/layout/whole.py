@@ -137,7 +137,7 @@ def own_images(positions: NDArray[np.float64], spacing: float) -> int:
     centred = positions - positions.mean(axis=0)
     tree, apart, allowed = KDTree(centred), cdist(centred, centred), _SAME * spacing
     radius, left, images = np.linalg.norm(centred, axis=1), centred, [list[int]()]
-    chosen: list[int] = []  # sensors that span the layout, of which the images fix an image
+    chosen: list[int] = []  # sensors that span the layout; their images determine an image
     for _ in range(positions.shape[1]):
         chosen.append(int(np.linalg.norm(left, axis=1).argmax()))
         unit = left[chosen[-1]] / max(float(np.linalg.norm(left[chosen[-1]])), 1e-12)

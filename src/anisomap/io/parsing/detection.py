@@ -296,7 +296,7 @@ def _find_lines(path: Path, sample: Sequence[str], preamble: int) -> Table | Non
 
 
 def _header_of(template: Template, above: Sequence[str]) -> list[str]:
-    """Return the names in the line above the values, below a clock as of a terminal; or none."""
+    """Return the names in the line above the values, below a terminal's clock; else none."""
     fields = next(records(above, find_delimiter(above)), (0, []))[1] if above else []
     if fields and template.clocks == {0} and len(fields) == template.n_values - 1:
         _, mark, first = fields[0].partition(template.texts[1])
