@@ -145,9 +145,11 @@ class LeftOut:
     """Lines that do not fit the others: up to 1 in 100, but at least one is allowed.
 
     repeats: Whether each is replaced by the preceding frame, so that the frame rate is kept.
+    headers: Whether lines of names are such lines, instead of an error.
     """
 
     repeats: bool = False
+    headers: bool = False
     n_lines: int = 0
     n_left: int = 0
     first: LineError | None = None
@@ -479,10 +481,9 @@ def _rows(
         left.n_lines += 1
         try:
             left.before = _row(line, table, number)
-        except HeaderError:
-            raise
         except LineError as error:
-            if is_cut and number == lines[-1][0]:
+            again = isinstance(error, HeaderError) and not left.headers
+            if again or (is_cut and number == lines[-1][0]):
                 raise
             left.n_left, left.first = left.n_left + 1, left.first or error
             if not left.repeats or left.before is None:

@@ -223,7 +223,7 @@ class _Reader:
             self._unread = [] if len(rows) else [*self._unread, *(line for _, line in lines)]
             if left.first:
                 self._bad = quote(dict(lines)[left.first.line].strip())
-                is_header = isinstance(left.first, HeaderError) and table.n_columns >= _LEAST_NAMES
+                is_header = isinstance(left.first, HeaderError) and not left.headers
                 unread = [line for number, line in lines if number >= left.first.line]
                 if is_header or sum(not is_apart(s) for s in self._unread) >= _MOST_UNREAD:
                     self.others = unread if is_header else self._unread
@@ -245,16 +245,11 @@ class _Reader:
 def _parsed(lines: list[Numbered], table: Table, left: LeftOut) -> NDArray[np.float64]:
     """Return the rows, (t, n_columns), of lines before a header, without those that do not fit."""
     held = [np.empty((0, table.n_columns))]
-    while lines:
-        try:
-            held += parsed(lines, table, left)
-            break
-        except HeaderError as error:
-            left.n_left, left.first = left.n_left + 1, left.first or error
-            lines = [each for each in lines if each[0] > error.line]
-            if table.n_columns >= _LEAST_NAMES:
-                left.first = error
-                break
+    left.headers = table.n_columns < _LEAST_NAMES
+    try:
+        held += parsed(lines, table, left) if lines else ()
+    except HeaderError as error:
+        left.n_left, left.first = left.n_left + 1, error
     return np.concatenate(held)
 
 
