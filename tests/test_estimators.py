@@ -33,7 +33,7 @@ def mapper():
         SensorMapper(n_components=2, method="isomap", missing="drop-frames"),
         Anisomap(),
         Anisomap(metric="precomputed"),
-    ],
+    ]
 )
 def test_scikit_learn_contract(estimator, check):
     check(estimator)

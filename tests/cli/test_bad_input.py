@@ -108,11 +108,7 @@ def folder(tmp_path_factory):
     write_layout(
         folder / "anchors.csv", 6 * skin.positions[:4], skin.names[:4], "name,x [mm],y [mm]"
     )
-    texts = {
-        "strangers.csv": "name,x,y\na,0,0\nb,1,0\nc,0,1\n",
-        **TOO_LITTLE,
-        "old.csv": "mine",
-    }
+    texts = {"strangers.csv": "name,x,y\na,0,0\nb,1,0\nc,0,1\n", **TOO_LITTLE, "old.csv": "mine"}
     for name, text in texts.items():
         (folder / name).write_text(text)
     return folder

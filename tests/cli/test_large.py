@@ -17,9 +17,7 @@ def parts(tmp_path):
     """A skin in three files, sensors in another order in each, with their times."""
     order, paths = np.random.default_rng(0), []
     recording = anisomap.Recording(
-        SKIN.readings,
-        names=[f"pad {n}" for n in range(42)],
-        times=np.arange(4000) / 50,
+        SKIN.readings, names=[f"pad {n}" for n in range(42)], times=np.arange(4000) / 50
     )
     for i, rows in enumerate(np.split(np.arange(4000), [1500, 2100])):
         sensors = order.permutation(42) if i else np.arange(42)

@@ -100,8 +100,7 @@ def test_results_are_one_json_object(folder, command):
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["info nothing.npz", "map skin.npz --frobnicate", "mapp skin.npz"],
+    "command", ["info nothing.npz", "map skin.npz --frobnicate", "mapp skin.npz"]
 )
 def test_errors_are_json_if_asked_for(folder, command):
     plain = call(folder, command, code=2)

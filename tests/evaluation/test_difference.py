@@ -105,8 +105,7 @@ def test_the_comparison_does_not_depend_on_frames_or_order(seed):
     other = compare_maps(
         SensorMap(before, names=names),
         SensorMap(
-            moved_freely(after, np.random.default_rng(seed))[order],
-            names=[names[i] for i in order],
+            moved_freely(after, np.random.default_rng(seed))[order], names=[names[i] for i in order]
         ),
     )
     np.testing.assert_allclose(other.distance, plain.distance, atol=1e-6)

@@ -109,8 +109,7 @@ def test_other_numbers_are_refused(dimensions):
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
-    [("icub_hexagon", {2}), ("icub_palm", {2}), ("plantar", {2, "not clear"})],
+    ("name", "expected"), [("icub_hexagon", {2}), ("icub_palm", {2}), ("plantar", {2, "not clear"})]
 )
 def test_real_flat_skins(recordings_folder, name, expected):
     assert chosen_for(anisomap.read(recordings_folder / f"{name}.npz")) in expected

@@ -38,12 +38,9 @@ def list_kind(
     anisomap list scenarios bombardment
     """
     if name is None:
-        {
-            "methods": _methods,
-            "formats": _formats,
-            "bodies": _bodies,
-            "scenarios": _scenarios,
-        }[kind](printer)
+        {"methods": _methods, "formats": _formats, "bodies": _bodies, "scenarios": _scenarios}[
+            kind
+        ](printer)
     elif kind == "scenarios":
         _explain_scenario(printer, name)
     else:
