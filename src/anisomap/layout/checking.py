@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -353,13 +353,6 @@ class _Checked:
             search.changes, search.mounting, self.names, self.usable
         ):
             self._add(kind, text, changes, search.evidence)
-        explained = explain(
-            search.arranged.positions,
-            proposed,
-            spacing=self.spacing,
-            made=search.made,
-            names=self.names,
-        )
         for sides in search.undecided:
             modules = [[self.mounting.members[m] for m in one] for one in sides]
             named = [
@@ -371,7 +364,8 @@ class _Checked:
             )
             sensors = np.concatenate([one for each in modules for one in each])
             self.findings.append(LayoutFinding(CONTRADICTING, sensors, text))
-        for kind, text, sensors in explained:
+        stated = search.arranged.positions
+        for kind, text, sensors in explain(stated, proposed, self.spacing, search.made, self.names):
             self._add_sensors(kind, text, sensors, search, proposed)
         return self._as_stated(proposed)
 
@@ -403,11 +397,10 @@ class _Checked:
         )
         self.findings.append(finding)
 
-    def _turned(self, change: Change) -> list[ModuleChange]:
-        """Return the resulting orientation of each module of a change."""
-        found: list[ModuleChange] = []
+    def _turned(self, change: Change) -> Iterator[ModuleChange]:
+        """Yield the resulting orientation of each module of a change."""
         if not change.modules:
-            return found
+            return
         ends = np.cumsum([len(self.mounting.members[m]) for m in change.modules])[:-1]
         halves = (np.split(places, ends) for places in (change.stated, change.move.places))
         for m, before, after in zip(change.modules, *halves, strict=True):
@@ -423,8 +416,7 @@ class _Checked:
                 mirror = way.reflected
                 angle = 0.0 if mirror else motion(before, after)[1]
             angle, old, new = (0.0 + round(one, 1) for one in (angle, old, new))
-            found.append(ModuleChange(label, angle, mirror, old, new))
-        return found
+            yield ModuleChange(label, angle, mirror, old, new)
 
     def _find_overlaps(self, evidence: Evidence) -> None:
         """Report modules that are nearer than their shape allows, unless a finding explains this.
@@ -439,7 +431,7 @@ class _Checked:
         ]
         if not left:
             return
-        found, expected = bonds(evidence, self.mounting.members)
+        found, expected = bonds(evidence, self.mounting)
         label = linked_labels(found > AGREEING * expected)
         size = np.bincount(label)[label]
         while left:

@@ -85,9 +85,7 @@ def coded(similarity: Reals) -> NDArray[np.uint8]:
 def neighbour_spacing(positions: NDArray[np.float64]) -> float:
     """Return the median distance to the nearest sensor at another position; 0 if there is none."""
     places = np.unique(positions, axis=0)
-    if len(places) < 2:
-        return 0.0
-    return float(np.median(nearest_distances(places)))
+    return float(np.median(nearest_distances(places))) if len(places) > 1 else 0.0
 
 
 def fit_falloff(similarity: Reals, positions: NDArray[np.float64], spacing: float) -> Falloff:
@@ -97,21 +95,16 @@ def fit_falloff(similarity: Reals, positions: NDArray[np.float64], spacing: floa
     distances = pdist(positions) / spacing
     label = np.searchsorted(_EDGES, distances, side="right")
     order = np.argsort(label, kind="stable")
-    ends = np.searchsorted(label[order], np.arange(len(_EDGES) + 2))
-    centre, level, spread, weight = [], [], [], []
-    for k in range(len(_EDGES) + 1):
-        inside = values[order[ends[k] : ends[k + 1]]]
-        if inside.size >= _MIN_PAIRS:
-            middle = float(np.median(inside))
-            centre.append(k)
-            level.append(middle)
-            spread.append(1.4826 * float(np.median(np.abs(inside - middle))))
-            weight.append(inside.size)
-    if not centre:  # sensors are too few for any bin
-        centre, weight = [0], [1]
-        level, spread = [float(np.median(values))], [float(np.ptp(values)) / 2]
-    decreasing = isotonic_regression(level, weights=weight, increasing=False).x
     every = np.arange(len(_EDGES) + 1)
+    found = []
+    for k, inside in enumerate(np.split(values[order], np.searchsorted(label[order], every[1:]))):
+        if inside.size >= _MIN_PAIRS:
+            middle = np.median(inside)
+            found.append((k, middle, 1.4826 * np.median(np.abs(inside - middle)), inside.size))
+    if not found:  # sensors are too few for any bin
+        found = [(0, np.median(values), np.ptp(values) / 2, 1)]
+    centre, level, spread, weight = np.transpose(found)
+    decreasing = isotonic_regression(level, weights=weight, increasing=False).x
     return Falloff(
         spacing,
         np.interp(every, centre, decreasing),
@@ -185,9 +178,7 @@ class Evidence:
 
     def refitted(self) -> Evidence:
         """Return a copy with the falloff of the current positions."""
-        inside = self.similarity[np.ix_(self.usable, self.usable)]
-        falloff = fit_falloff(inside, self.positions[self.usable], self.falloff.spacing)
-        return replace(self, falloff=falloff)
+        return Evidence.of(self.similarity, self.positions, self.usable, self.falloff.spacing)
 
     def moved(self, move: Move) -> Evidence:
         """Return a copy with some sensors at other positions."""

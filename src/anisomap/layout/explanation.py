@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ _MAX_NAMED = 6
 def explain(
     stated: NDArray[np.float64],
     proposed: NDArray[np.float64],
-    *,
     spacing: float,
     made: Sequence[Proposal],
     names: Sequence[str],
@@ -121,13 +119,12 @@ def explain_modules(
     return found
 
 
-_Explained: TypeAlias = tuple[str, float, list[Change]]
-"""A kind, an angle in degrees, and the changes that it explains."""
+def _causes(changes: Sequence[Change], mounting: Mounting) -> list[tuple[str, float, list[Change]]]:
+    """Group changes by cause: kind, angle in degrees, and changes.
 
-
-def _causes(changes: Sequence[Change], mounting: Mounting) -> list[_Explained]:
-    """Group changes by cause; equal flips of adjacent modules have a common cause."""
-    found: list[_Explained] = []
+    Equal flips of adjacent modules have a common cause.
+    """
+    found: list[tuple[str, float, list[Change]]] = []
     for change in changes:
         if change.together:
             found.append((*motion(change.stated, change.move.places), [change]))

@@ -79,9 +79,9 @@ class LayoutFinding:
     displacement : float
         Median distance between the stated and the proposed places, in units of the layout; NaN if
         no place is proposed.
-    agreement_stated, agreement_proposed, agreement_second : float
-        Mean similarity of the sensors to the sensors around their stated, proposed and second
-        best places; NaN if there are no such sensors or places.
+    agreement_stated, agreement_proposed : float
+        Mean similarity of the sensors to the sensors around their stated and proposed places; NaN
+        if there are no such sensors or places.
     gain : float
         Increase of the log-likelihood of all similarities, in nats; NaN if no place is proposed.
     z : float

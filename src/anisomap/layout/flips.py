@@ -57,20 +57,16 @@ class Orientations:
         def ratios(
             m: int, others: NDArray[np.intp], places: NDArray[np.float64]
         ) -> NDArray[np.float32]:
-            distances = cdist(at[m].reshape(-1, k), places)
-            bins = evidence.falloff.bins(distances)
             shape = (n_turns, len(sensors[m]), len(places) // len(others), len(others))
-            bins = bins.reshape(shape)
+            bins = evidence.falloff.bins(cdist(at[m].reshape(-1, k), places)).reshape(shape)
             codes = evidence.codes[np.ix_(sensors[m], others)][None, :, None, :]
             return np.asarray(evidence.falloff.ratio(codes, bins).sum(axis=(1, 3)))
 
-        here = evidence.positions[loose]
         alone = np.zeros((n_modules, n_turns), np.float32)
         pairs = np.zeros((n_modules, n_modules, n_turns, n_turns), np.float32)
-        if loose.any():
-            alone += np.stack(
-                [ratios(m, np.flatnonzero(loose), here)[:, 0] for m in range(n_modules)]
-            )
+        if (rest := np.flatnonzero(loose)).size:
+            here = evidence.positions[rest]
+            alone += np.stack([ratios(m, rest, here)[:, 0] for m in range(n_modules)])
         alone -= price
         middle = np.stack([image.mean(axis=(0, 1)) for image in images])
         radius = [

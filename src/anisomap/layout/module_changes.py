@@ -137,9 +137,7 @@ class Arrangement:
         ways = [
             o for o, one in enumerate(self.mounting.orientations) if one.fits and not one.backwards
         ]
-        home = np.full(len(evidence.usable), -1)
-        for m, inside in enumerate(self._members):
-            home[inside] = m
+        home = self.mounting.owner
         owner = np.where(home >= 0, self._slot[home], -1)
         spacing, middles = evidence.falloff.spacing, self.mounting.middles
         for s in np.flatnonzero(wanted.any(axis=0)).tolist():
@@ -209,7 +207,7 @@ class Arrangement:
         tried = [{a: int(self._slot[b]), b: int(self._slot[a])} for a, b in pairs]
         tried += [{m: changed[m] for m in chain} for chain in _chains(changed, self._slot)]
         if free:
-            there, expected = (one.sum(axis=1) for one in bonds(evidence, self._members))
+            there, expected = bonds(evidence, self.mounting).sum(axis=2)
             lost = (there <= -AGREEING * expected)[:, None] & (fits > _NONE)
             gains = np.where(lost, fits - own[:, None], 0)
             gains[:, :n_modules] = 0
@@ -226,8 +224,8 @@ class Arrangement:
         """Reverse the order of the row of modules with the greatest gain, if it is certain."""
         sensors = np.concatenate(self._members)
         kept = evidence.usable[sensors]
-        module = np.repeat(np.arange(len(self._members)), [len(m) for m in self._members])[kept]
         pads, sensors = np.concatenate(self.mounting.pads)[kept], sensors[kept]
+        module = self.mounting.owner[sensors]
         n_modules, n_pads = len(self._members), self.mounting.seats.shape[1]
         at = self.mounting.seats[:n_modules].reshape(-1, evidence.positions.shape[1])
         falloff = evidence.falloff
@@ -267,7 +265,7 @@ class Arrangement:
         if any(slot not in held for _, slot, _ in placed):
             # A free place must be correct by all criteria. A module that agrees with adjacent
             # modules is not moved.
-            lost = not border(evidence, self._members, [m for m, _, _ in placed]) > -AGREEING
+            lost = not border(evidence, self.mounting, [m for m, _, _ in placed]) > -AGREEING
             if not (lost and self._judge.weigh(evidence, move, group=True, free=True).holds):
                 return False
         for m, slot, turn in placed:
@@ -290,7 +288,7 @@ class Arrangement:
             found = self._as_groups(evidence, [self._weighed(evidence, one) for one in groups])
             found = self._as_rows(evidence, found)
             # Modules that agree with no adjacent module are elsewhere, in any orientation.
-            there, expected = (one.sum(axis=1) for one in bonds(evidence, self._members))
+            there, expected = bonds(evidence, self.mounting).sum(axis=2)
             wrong = []
             for one in found:
                 some = list(one.modules)
@@ -300,7 +298,7 @@ class Arrangement:
                 if not set(one.slots) <= set(some):
                     # On bodies cut open, a module also fits beside others across the cut.
                     before = evidence.moved(Move(one.move.sensors, one.stated))
-                    against = np.delete(bonds(before, self._members)[0][some], some, axis=1)
+                    against = np.delete(bonds(before, self.mounting)[0][some], some, axis=1)
                     beside &= -np.minimum(against, 0).sum() >= one.verdict.gain / 2
                 tested = one.row or self._tested[some].all()
                 if not (one.verdict.holds and beside and tested):

@@ -380,6 +380,14 @@ class Mounting:
         return len(self.members)
 
     @cached_property
+    def owner(self) -> NDArray[np.intp]:
+        """Module of each sensor, (n,); -1 without one."""
+        owner = np.full(len(self.home), NO_MODULE)
+        for m, inside in enumerate(self.members):
+            owner[inside] = m
+        return owner
+
+    @cached_property
     def _flat(self) -> NDArray[np.float64]:
         """Existing pads, (E, 2)."""
         places = self.orientations[0].places

@@ -85,17 +85,13 @@ def motions(
     if not evidence.usable[sensors].any() or not outside.size:
         return []
     spacing, gains = evidence.falloff.spacing, evidence.gains(sensors, evidence.codes[None])
-
-    def gain(places: NDArray[np.float64]) -> float:
-        return float(gains(places)[0])
-
     tried = turns(here) if len(sensors) >= _MIN_PATCH else []
     if shifted:
         tried += _near_similar(evidence, sensors, outside, [here, *tried])
-    moves = sorted([(-gain(places), i, places) for i, places in enumerate(tried)])
+    moves = sorted([(-gains(places)[0], i, places) for i, places in enumerate(tried)])
     if shifted:
-        best = [_refined(gain, places, spacing) for *_, places in moves[:_N_REFINED]]
-        moves += [(-gain(places), len(moves) + i, places) for i, places in enumerate(best)]
+        best = [_refined(gains, places, spacing) for *_, places in moves[:_N_REFINED]]
+        moves += [(-gains(places)[0], len(moves) + i, places) for i, places in enumerate(best)]
         moves.sort()
     tree: Any = KDTree(evidence.positions[outside])
     return [
@@ -145,7 +141,9 @@ def turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 
 def _refined(
-    gain: Callable[[NDArray[np.float64]], float], guess: NDArray[np.float64], spacing: float
+    gains: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    guess: NDArray[np.float64],
+    spacing: float,
 ) -> NDArray[np.float64]:
     """Refine the place, and for three or more sensors the rotation, from an initial estimate."""
     dimensions = guess.shape[1]
@@ -162,7 +160,7 @@ def _refined(
         return np.asarray(moved + centre + parameters[:dimensions] * spacing)
 
     def loss(parameters: Any) -> float:
-        return -gain(placed(parameters))
+        return -float(gains(placed(parameters))[0])
 
     start = np.zeros(dimensions + n_angles)
     options: Any = {

@@ -83,14 +83,7 @@ def reading_statistics(
     part = _part_of_frames(ranks)
     products = np.stack([rows[:, part == g] @ rows[:, part == g].T for g in range(N_PARTS)])
     whole = products.sum(axis=0)
-    parts = np.stack(
-        [
-            _without(
-                whole - product, rows[:, part == g].sum(axis=1), int(np.count_nonzero(part != g))
-            )
-            for g, product in enumerate(products)
-        ]
-    )
+    parts = [_without(whole - one, rows[:, part == g], n_frames) for g, one in enumerate(products)]
     similarity = _symmetric(whole)
     least = max(1, int(_MIN_SHIFT * n_frames))
     lags = rng.integers(least, n_frames - least, size=n_shifts, endpoint=True)
@@ -102,7 +95,7 @@ def reading_statistics(
     shifted = (np.roll(thinned, -(int(lag) // every), axis=0) for lag in lags)
     chance = [_strength(thinned.T @ one) for one in shifted]
     tested = (strength > np.max(chance, axis=0)) & (strength > 0)
-    return ReadingStatistics(similarity, parts, tested)
+    return ReadingStatistics(similarity, np.stack(parts), tested)
 
 
 def _part_of_frames(ranks: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -120,17 +113,17 @@ def _without(
 ) -> NDArray[np.float32]:
     """Return correlations from products of centred rows, without the frames of a part.
 
-    left_out (n,): Sums of the rows over these frames.
+    left_out (n, t): Rows of these frames, of n_frames.
     """
-    centred = product - np.outer(left_out, left_out) / n_frames
+    sums = left_out.sum(axis=1)
+    centred = product - np.outer(sums, sums) / (n_frames - left_out.shape[1])
     norms = np.sqrt(np.maximum(np.diag(centred), 0))
     inverse = np.divide(1, norms, out=np.zeros_like(norms), where=norms > 1e-3)
     return _symmetric(centred * np.outer(inverse, inverse))
 
 
 def _symmetric(product: NDArray[np.float32]) -> NDArray[np.float32]:
-    mean = (product + product.T) / 2
-    return np.clip(mean, -1, 1)
+    return np.clip((product + product.T) / 2, -1, 1)
 
 
 def _strength(similarity: Reals) -> NDArray[np.float32]:

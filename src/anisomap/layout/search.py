@@ -107,8 +107,8 @@ class Search:
         self, joint: Arrangement, modules: list[int], move: Move
     ) -> tuple[Change, Arrangement] | None:
         """Move a patch, then modules; return None unless the patch certainly moved."""
-        members, stated = joint.mounting.members, joint.stated.positions[move.sensors]
-        if not border(joint.stated.moved(move), members, modules) > 0:
+        stated = joint.stated.positions[move.sensors]
+        if not border(joint.stated.moved(move), joint.mounting, modules) > 0:
             return None
         other = self._with(joint, modules, move)
         verdict = self.judge.weigh(
@@ -120,7 +120,7 @@ class Search:
         fewer = price + _PRICE_OF_PATCH < before
         fewer = fewer and joint.evidence.gain(all_moves) > -MIN_GROUP_GAIN
         # Pads at the border are few, so their agreement is weaker evidence than all pads.
-        left, then = (border(one.evidence, members, modules) for one in (joint, other))
+        left, then = (border(one.evidence, joint.mounting, modules) for one in (joint, other))
         better = then - left > AGREEING and self.judge.certainly_gains(joint.evidence, all_moves)
         if not (verdict.told and then > AGREEING and (fewer or better)):
             return None
@@ -132,9 +132,7 @@ class Search:
         Sensors are moved alone only when no other move is left: most sensors that fit another place
         were exchanged with sensors whose readings show their places.
         """
-        loose = np.ones(len(self.evidence.usable), dtype=bool)
-        loose[[i for inside in self.mounting.members for i in inside.tolist()]] = False
-        apart = partial(free_moves, loose=loose, home=self.mounting.home)
+        apart = partial(free_moves, loose=self.mounting.owner < 0, home=self.mounting.home)
         stages: list[tuple[Callable[[Evidence], list[Proposal]], ...]] = [
             (cable_shifts, reassigned, partial(apart, alone=False)),
             (partial(reassigned, alone=True),),

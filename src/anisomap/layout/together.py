@@ -44,12 +44,12 @@ def moved_patches(
     found = []
     groups, flat = _contradicted(evidence, mounting), evidence.positions.shape[1] == 2
     if flat:  # in space, modules alone move to free places only
-        alone = bonds(arranged, mounting.members)[0].sum(axis=1) < 0
+        alone = bonds(arranged, mounting)[0].sum(axis=1) < 0
         groups += [[m] for m in np.flatnonzero(alone).tolist()]
     for group in sorted(groups, key=len)[:_N_GROUPS]:
         sensors = np.concatenate([mounting.members[m] for m in group])
         changed = (arranged.positions[sensors] != evidence.positions[sensors]).any()
-        agrees = not changed and border(arranged, mounting.members, group) > AGREEING
+        agrees = not changed and border(arranged, mounting, group) > AGREEING
         if agrees or len(sensors) > largest:
             continue
         # Layouts in space are bent: there, patches gain by any small motion.
@@ -67,38 +67,28 @@ def moved_patches(
     return [(group, move) for group, move in best if move]
 
 
-def bonds(
-    evidence: Evidence, members: Sequence[NDArray[np.intp]]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the evidence that modules are adjacent, and its expectation if they are, (M, M).
+def bonds(evidence: Evidence, mounting: Mounting) -> NDArray[np.float64]:
+    """Return the evidence that modules are adjacent, and its expectation if they are, (2, M, M).
 
     It is the log-likelihood ratio of the similarities of pads if near, relative to distant pads.
-
-    members: Sensors of each module.
     """
     near = evidence.known & (cdist(evidence.positions, evidence.positions) <= evidence.reach)
-    inside = np.zeros((len(members), len(near)))
-    for m, sensors in enumerate(members):
-        inside[m, sensors] = 1
-
-    def summed(ratios: NDArray[np.float32]) -> NDArray[np.float64]:
-        total = inside @ np.where(near, ratios, 0) @ inside.T
-        np.fill_diagonal(total, 0)
-        return np.asarray(total)
-
-    return summed(evidence.ratios), summed(evidence.falloff.expected[evidence.bins])
+    modules = np.arange(mounting.n_modules)
+    inside = (mounting.owner == modules[:, None]).astype(float)
+    ratios = np.stack([evidence.ratios, evidence.falloff.expected[evidence.bins]])
+    total = np.asarray(inside @ np.where(near, ratios, 0) @ inside.T)
+    total[:, modules, modules] = 0
+    return total
 
 
-def border(
-    evidence: Evidence, members: Sequence[NDArray[np.intp]], modules: Sequence[int]
-) -> float:
+def border(evidence: Evidence, mounting: Mounting, modules: Sequence[int]) -> float:
     """Return the evidence that some modules are adjacent to the others, relative to expectation.
 
     It is about 1 if they are, and about -1 if they are elsewhere; NaN without near modules.
     """
     found, expected = (
         float(np.delete(one[list(modules)], modules, axis=1).sum())
-        for one in bonds(evidence, members)
+        for one in bonds(evidence, mounting)
     )
     return found / expected if expected > 0 else float("nan")
 
@@ -110,7 +100,7 @@ def other_side(
 
     These modules agree with each other.
     """
-    found, expected = bonds(evidence, mounting.members)
+    found, expected = bonds(evidence, mounting)
     against, agreeing = found[modules].sum(axis=0), found > AGREEING * expected
     agreeing[modules], agreeing[:, modules], against[modules] = False, False, 0
     label = linked_labels(agreeing)
@@ -147,7 +137,7 @@ def _contradicted(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
 
     Greedy additive edge contraction: Keuper et al. (2015), ICCV, 1751-1759.
     """
-    found, expected = bonds(evidence, mounting.members)
+    found, expected = bonds(evidence, mounting)
     weights = found - AGREEING * expected
     groups = [[m] for m in range(mounting.n_modules)]
     contradicted = []
