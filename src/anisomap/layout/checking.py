@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -133,7 +133,7 @@ def check_layout(
     with limited_blas(len(rows)):
         known = statistics or reading_statistics(joined.readings, generator, n_shifts=n_shifts)
         part = joined.select(columns)
-        checked = _Checked(
+        return _Checked(
             stated,
             rows,
             joined.signals.contacts[columns],
@@ -143,8 +143,7 @@ def check_layout(
             statistics=known.select(columns),
             rng=generator,
             notes=notes,
-        )
-        return checked.result()
+        ).result()
 
 
 @dataclass(eq=False)
@@ -228,21 +227,18 @@ class _Checked:
         ]
         if not self.enough:
             notes.append(f"not tested with fewer than {_PATCH_CONTACTS} contacts: moved patches")
-        members = self.mounting.members
-        unsure = [span(members[m], self.names) for m in search.unsure]
-        if unsure:
+        if search.unsure:
             notes.append(
                 "modules whose orientation this recording cannot test: "
-                f"{len(unsure)} ({join_items(unsure, _MAX_NAMED)})"
+                f"{len(search.unsure)} ({self._listed(search.unsure)})"
             )
         apart = unsure_patches(search.evidence, search.mounting)
         if apart:
-            named = [span(members[patch[0]], self.names) for patch in apart]
             notes.append(
                 "separate patches of modules whose orientation this recording cannot test begin "
-                f"with modules {join_items(named, _MAX_NAMED)}"
+                f"with modules {self._listed(patch[0] for patch in apart)}"
             )
-        if not members and self.positions.shape[1] == 3:
+        if not self.mounting.members and self.positions.shape[1] == 3:
             notes.append(
                 "no modules were detected, so no orientations were tested: if there are modules, "
                 "define them (--module-size, and --module-layout if they are bent)"
@@ -353,21 +349,21 @@ class _Checked:
             search.changes, search.mounting, self.names, self.usable
         ):
             self._add(kind, text, changes, search.evidence)
-        for sides in search.undecided:
-            modules = [[self.mounting.members[m] for m in one] for one in sides]
-            named = [
-                join_items([span(one, self.names) for one in each], _MAX_NAMED) for each in modules
-            ]
+        for one, other in search.undecided:
             text = (
-                f"modules {named[0]} contradict modules {named[1]} at their border, and which of "
-                "them are at wrong places cannot be told"
+                f"modules {self._listed(one)} contradict modules {self._listed(other)} at their "
+                "border, and which of them are at wrong places cannot be told"
             )
-            sensors = np.concatenate([one for each in modules for one in each])
+            sensors = np.concatenate([self.mounting.members[m] for m in one + other])
             self.findings.append(LayoutFinding(CONTRADICTING, sensors, text))
         stated = search.arranged.positions
         for kind, text, sensors in explain(stated, proposed, self.spacing, search.made, self.names):
             self._add_sensors(kind, text, sensors, search, proposed)
         return self._as_stated(proposed)
+
+    def _listed(self, modules: Iterable[int]) -> str:
+        """Return the names of modules."""
+        return join_items([span(self.mounting.members[m], self.names) for m in modules], _MAX_NAMED)
 
     def _add(self, kind: str, text: str, changes: Sequence[Change], evidence: Evidence) -> None:
         """Add a finding on changes, of modules or others, with a common cause."""
@@ -423,12 +419,9 @@ class _Checked:
 
         Of two modules, the one that agrees with fewer others, directly or indirectly, is reported.
         """
-        moved = {i for one in self.findings if one.kind != DEAD for i in one.sensors.tolist()}
-        left = [
-            (a, b, length)
-            for a, b, length in self.mounting.overlaps
-            if not moved & {*self.mounting.members[a].tolist(), *self.mounting.members[b].tolist()}
-        ]
+        moved = [i for one in self.findings if one.kind != DEAD for i in one.sensors.tolist()]
+        changed = set(self.mounting.owner[moved].tolist())
+        left = [one for one in self.mounting.overlaps if not changed & {*one[:2]}]
         if not left:
             return
         found, expected = bonds(evidence, self.mounting)
@@ -440,11 +433,10 @@ class _Checked:
             m = max(counts, key=lambda m: (-size[m], counts[m], worst[m]))
             others = sorted((length, b if a == m else a) for a, b, length in left if m in (a, b))
             left = [one for one in left if m not in one[:2]]
-            near = [span(self.mounting.members[other], self.names) for _, other in others]
             text = (
-                f"module {span(self.mounting.members[m], self.names)} is {others[0][0]:.3g} from "
-                f"{join_items(near, _MAX_NAMED)}, but adjacent modules of this shape are "
-                f"{self.mounting.clearance:.3g} apart"
+                f"module {self._listed([m])} is {others[0][0]:.3g} from "
+                f"{self._listed(other for _, other in others)}, but adjacent modules of this shape "
+                f"are {self.mounting.clearance:.3g} apart"
             )
             # If both agree with about equally many others, either one may be correct.
             told = counts[m] > 1 or SMALLER * size[m] <= size[others[0][1]]
@@ -478,24 +470,19 @@ class _Checked:
     def _as_stated(self, proposed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return proposed places, replaced by exact stated places of the same or other sensors."""
         apart, owner = map(np.asarray, KDTree(self.positions).query(proposed))
-        found = proposed.copy()
-        taken = apart <= _SAME * self.spacing
-        found[taken] = self.positions[owner[taken]]
-        same = np.asarray((proposed == self.unbent).all(axis=1))
-        found[same] = self.positions[same]
-        return found
+        taken = apart[:, None] <= _SAME * self.spacing
+        found = np.where(taken, self.positions[owner], proposed)
+        return np.where((proposed == self.unbent).all(axis=1)[:, None], self.positions, found)
 
     def _summary(self, proposed: NDArray[np.float64], verdict: str) -> LayoutCheck:
         n_sensors = self.layout.n_sensors
-        status = [NOT_TESTED] * n_sensors
-        for column in np.flatnonzero(self.usable):
-            status[self.rows[column]] = OK
+        status = np.full(n_sensors, NOT_TESTED, dtype=object)
+        status[self.rows[self.usable]] = OK
         order = list(KINDS)
         findings = sorted(self.findings, key=lambda f: (order.index(f.kind), int(f.sensors.min())))
         for finding in reversed(findings):  # a dead sensor may have the place of another
-            for column in finding.sensors:
-                status[self.rows[column]] = finding.kind
-        untested = [self.layout.names[i] for i in range(n_sensors) if status[i] == NOT_TESTED]
+            status[self.rows[finding.sensors]] = finding.kind
+        untested = [self.layout.names[i] for i in np.flatnonzero(status == NOT_TESTED)]
         if untested and len(untested) < n_sensors:
             self.notes += (
                 f"sensors that this recording cannot test: {len(untested)} of {n_sensors} "
@@ -509,7 +496,7 @@ class _Checked:
         return LayoutCheck(
             self.layout,
             at_positions(self.layout, positions),
-            tuple(status),
+            tuple(status.tolist()),
             tuple(replace(f, sensors=self.rows[f.sensors]) for f in findings),
             values,
             self.modules.index,

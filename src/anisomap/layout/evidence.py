@@ -28,11 +28,9 @@ _EDGES = np.concatenate(
 _BIN_OF_STEP = np.searchsorted(
     _EDGES, np.arange(_LARGEST * _RESOLUTION + 1) / _RESOLUTION, side="right"
 ).astype(np.uint8)
+# Degrees of freedom of Student's t distribution, which limits the weight of outlying pairs. Between
+# 2 and 5, the results on icub_torso and nao_torso differ little (seeds 1 to 40).
 _DEGREES = 3.0
-"""Degrees of freedom of Student's t distribution, which limits the weight of outlying pairs.
-
-Between 2 and 5, the results on icub_torso and nao_torso differ little (seeds 1 to 40).
-"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,9 +68,7 @@ class Judge:
     few: Whether contacts are few, so that each change must gain twice as much.
     """
 
-    def __init__(
-        self, statistics: ReadingStatistics, evidence: Evidence, *, few: bool = False
-    ) -> None:
+    def __init__(self, statistics: ReadingStatistics, evidence: Evidence, *, few: bool) -> None:
         self._price = 2.0 if few else 1.0
         self._parts = np.stack([coded(part) for part in statistics.parts])
         own = own_agreement(evidence)[evidence.usable]

@@ -40,12 +40,9 @@ _NEXT = 1.5  # maximum distance of adjacent modules, relative to the median of n
 _FREE = 0.6  # minimum distance of pads of a free place from other pads, in spacings
 _MAX_TAKEN = 0.1  # share of the pads of a free place that may be nearer to others
 
+# Of the spacing: largest error of places that count as equal. Chosen by hand: layouts of curved
+# bodies bend their modules by up to a tenth of the spacing.
 _TOLERANCE = 0.25
-"""Largest error of places that count as equal, as a share of the spacing in a group.
-
-Chosen by hand: layouts of curved bodies bend their modules by up to a tenth of the spacing.
-"""
-
 _MAX_MODULE = 64  # channels
 _MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
 _CLEARLY_MORE = 0.1  # the share for a multiple of the true size is hardly larger
@@ -221,29 +218,25 @@ def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
     template (P, 2): Positions of the pads; NaN for pads that do not exist.
     """
     exist = np.flatnonzero(np.isfinite(template).all(axis=1))
-    pads = template[exist]
-    everyone = np.arange(len(template))
+    pads, everyone = template[exist], np.arange(len(template))
     found = [Orientation(reflected=False, angle=0.0, places=template, target=everyone)]
     if len(pads) < MIN_PADS:
         return tuple(found)
     allowed = _SAME * float(np.median(nearest_distances(pads)))
-    centred = pads - pads.mean(axis=0)
-    turns = [_symmetry(pads, 2 * math.pi / n, allowed) for n in range(_MAX_FOLD, 1, -1)]
-    mirrors = [_symmetry(pads, angle, allowed, reflected=True) for angle in _axes(centred, allowed)]
-    turn = next((one for one in turns if one is not None), None)
-    mirror = next((one for one in mirrors if one is not None), None)
+    centre = pads.mean(axis=0)
+    turns = ((n, _symmetry(pads, 2 * math.pi / n, allowed)) for n in range(_MAX_FOLD, 1, -1))
+    fold, turn = next((one for one in turns if one[1]), (1, None))
+    axes = _axes(pads - centre, allowed)
+    mirrors = (_symmetry(pads, angle, allowed, reflected=True) for angle in axes)
+    mirror = next((one for one in mirrors if one), None)
     if turn is None and mirror is None:
         return tuple(found)
-    fold = _MAX_FOLD - turns.index(turn) if turn is not None else 1
-    centre = pads.mean(axis=0)
     if turn is not None:
         centre = np.linalg.solve(np.eye(2) - turn.rotation, turn.translation)
     n_turns = fold if fold % 2 == 0 else 2 * fold
-    for reflected in (False, True) if mirror is not None else (False,):
-        image = pads if not reflected or mirror is None else mirror.apply(pads)
-        for k in range(n_turns):
-            if k == 0 and not reflected:
-                continue
+    images = {False: pads} if mirror is None else {False: pads, True: mirror.apply(pads)}
+    for reflected, image in images.items():
+        for k in range(0 if reflected else 1, n_turns):
             angle = 2 * math.pi * k / n_turns
             places, target = template.copy(), np.full(len(template), -1)
             places[exist] = _turned(image, angle, centre)
@@ -339,24 +332,21 @@ class Mounting:
         shapes = [(modules.pads[inside], positions[inside]) for inside in members]
         template = _scaled(modules, shapes, units) if known else _common_shape(shapes)
         exist = np.asarray(np.isfinite(template).all(axis=1))
+        members = [inside[exist[modules.pads[inside]]] for inside in members]
         used = np.unique(np.concatenate([modules.pads[inside] for inside in members]))
-        pitch = float(np.median(nearest_distances(template[used[exist[used]]])))
-        order = used[exist[used]]
+        pitch = float(np.median(nearest_distances(template[used])))
         back = np.arange(len(template))
-        back[order] = order[::-1]
+        back[used] = used[::-1]
         kept, pads, fits = [], [], []
         for inside in members:
-            known_pads = modules.pads[inside]
-            there = exist[known_pads]
-            fit, pad = _fit_either_way(
-                template, known_pads[there], back, positions[inside[there]], pitch
-            )
+            here = positions[inside]
+            fit, pad = _fit_either_way(template, modules.pads[inside], back, here, pitch)
             # Displaced pads are no evidence about the orientation of the others.
             at = template[pad] @ fit[0][:2] + fit[1]
-            near = np.linalg.norm(at - positions[inside[there]], axis=1) <= _MAX_PULL * pitch
+            near = np.linalg.norm(at - here, axis=1) <= _MAX_PULL * pitch
             if np.count_nonzero(near) >= MIN_PADS and (known or fit[2] <= _MAX_MISFIT * pitch):
-                home[inside[there]] = at
-                kept.append(inside[there][near])
+                home[inside] = at
+                kept.append(inside[near])
                 pads.append(pad[near])
                 fits.append(fit)
         part = np.full_like(template, np.nan)
@@ -420,8 +410,7 @@ class Mounting:
         if self.n_modules < 2:
             return []
         middle = _inscribed(self._flat)[0]
-        n = self.n_modules
-        centres = middle @ self.frames[:n, :2] + self.centres[:n]
+        centres = (middle @ self.frames[:, :2] + self.centres)[: self.n_modules]
         between = cdist(centres, centres)
         least = _TOO_NEAR[self.frames.shape[1]] * self.clearance
         near = np.argwhere(np.triu(between < least, 1)).tolist()
@@ -496,10 +485,8 @@ class Mounting:
         centre = (steps[kinds, None, None] @ frames)[:, :, 0] + centres
         centre = centre.reshape(-1, centres.shape[1])
         there = self._flat @ frame[:, :2] + centre[:, None]
-        taken = (
-            np.asarray(KDTree(np.delete(positions, list(gone), axis=0)).query(there)[0])
-            < _FREE * self.pitch
-        )
+        others: Any = KDTree(np.delete(positions, list(gone), axis=0))
+        taken = others.query(there)[0] < _FREE * self.pitch
         middles = there.mean(axis=1)
         chosen: list[int] = []
         for i in np.flatnonzero(taken.mean(axis=1) <= _MAX_TAKEN).tolist():

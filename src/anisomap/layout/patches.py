@@ -135,9 +135,8 @@ def turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
             turn = np.eye(k)
             cos, sin = np.cos(angle), np.sin(angle)
             turn[:2, :2] = [[cos, -hand * sin], [sin, hand * cos]]
-            if angle > 0 or hand < 0:
-                found.append(flat @ turn.T @ axes + centre)
-    return found
+            found.append(flat @ turn.T @ axes + centre)
+    return found[1:]  # the first is the identity
 
 
 def _refined(

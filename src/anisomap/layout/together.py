@@ -155,21 +155,6 @@ def _contradicted(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
     return contradicted
 
 
-def _beside(
-    mounting: Mounting, modules: list[int], move: Move, shapes: NDArray[np.float64]
-) -> list[Move]:
-    """Return motions near a given one with a module exactly on a place, shapes (S, O, P, k)."""
-    ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
-    ways = [o for o, one in enumerate(mounting.orientations) if one.fits and not one.backwards]
-    found = []
-    for m, there in zip(modules, np.split(move.places, ends), strict=True):
-        for at in shapes[:, ways][:, :, mounting.pads[m]].reshape(-1, *there.shape):
-            if _apart(at, there) <= _PULL * mounting.pitch:
-                fit = fit_similarity(there, at, scaling=False, reflection=False)
-                found.append(Move(move.sensors, fit.apply(move.places)))
-    return found
-
-
 def on_places(
     evidence: Evidence, mounting: Mounting, modules: list[int], move: Move
 ) -> Move | None:
@@ -178,22 +163,25 @@ def on_places(
     None if all modules stay at their own places, since each is then turned separately.
     """
     ends = np.cumsum([len(mounting.members[m]) for m in modules])[:-1]
-    off = [
-        min(_apart(mounting.places(m, m, o), at) for o in range(len(mounting.orientations)))
-        for m, at in zip(modules, np.split(move.places, ends), strict=True)
-    ]
+    moved = list(zip(modules, np.split(move.places, ends), strict=True))
+    off = [_apart(mounting.shapes[m][:, mounting.pads[m]], there).min() for m, there in moved]
     if max(off) <= _SAME * mounting.pitch:
         return None
-    if evidence.positions.shape[1] == 2:
-        others = mounting.without(modules, evidence.positions)
-        shapes = np.concatenate([mounting.shapes[modules], others.shapes[others.n_modules :]])
-        exact = _beside(mounting, modules, move, shapes)
-        best = max(exact, key=evidence.gain, default=move)
-        if evidence.gain(best) > _NEARLY * evidence.gain(move):
-            return best
-    return move
+    if evidence.positions.shape[1] > 2:
+        return move
+    others = mounting.without(modules, evidence.positions)
+    shapes = np.concatenate([mounting.shapes[modules], others.shapes[others.n_modules :]])
+    ways = [o for o, one in enumerate(mounting.orientations) if one.fits and not one.backwards]
+    exact = []
+    for m, there in moved:
+        at = shapes[:, ways][:, :, mounting.pads[m]].reshape(-1, *there.shape)
+        for near in at[_apart(at, there) <= _PULL * mounting.pitch]:
+            fit = fit_similarity(there, near, scaling=False, reflection=False)
+            exact.append(Move(move.sensors, fit.apply(move.places)))
+    best = max(exact, key=evidence.gain, default=move)
+    return best if evidence.gain(best) > _NEARLY * evidence.gain(move) else move
 
 
-def _apart(places: NDArray[np.float64], others: NDArray[np.float64]) -> float:
-    """Return the root mean square distance between two sets of places."""
-    return float(np.sqrt(((places - others) ** 2).sum(axis=1).mean()))
+def _apart(places: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the root mean square distances of sets of places (n, m, k) from others (m, k)."""
+    return np.asarray(np.sqrt(((places - others) ** 2).sum(axis=2).mean(axis=1)))

@@ -22,9 +22,7 @@ _SAME = 0.25  # spacings between places that count as the same
 _MAX_IMAGES = 400  # rotations and reflections of a layout to try
 
 
-def agreement_as_a_whole(
-    evidence: Evidence, rng: np.random.Generator, *, n_permutations: int = N_PERMUTATIONS
-) -> tuple[float, float]:
+def agreement_as_a_whole(evidence: Evidence, rng: np.random.Generator) -> tuple[float, float]:
     """Return the agreement of a layout with the similarities as a whole: p and share.
 
     p: Probability that a layout with shuffled sensors agrees as well.
@@ -45,8 +43,8 @@ def agreement_as_a_whole(
         return float(values @ similarity[order[first], order[second]])
 
     stated = total(np.arange(usable.size))
-    shuffled = np.array([total(rng.permutation(usable.size)) for _ in range(n_permutations)])
-    p = (1 + np.count_nonzero(shuffled >= stated)) / (1 + n_permutations)
+    shuffled = np.array([total(rng.permutation(usable.size)) for _ in range(N_PERMUTATIONS)])
+    p = (1 + np.count_nonzero(shuffled >= stated)) / (1 + N_PERMUTATIONS)
     by_sensor = np.lexsort((-values, first))
     rank = np.arange(first.size) - np.searchsorted(first[by_sensor], first[by_sensor])
     highest = -np.sort(-similarity, axis=1)
