@@ -84,6 +84,10 @@ def test_uneven_sensors_are_usable_only_if_they_and_compact_contacts_are_stated(
     )
     assert max(rank(unstated), rank(elongated), rank(judge(uneven))) < 2
     assert compact.expected_error == unstated.expected_error <= elongated.expected_error
+    assert (
+        judge(replace(known, contacts="compact", extent=1e3)).expected_error
+        == unstated.expected_error
+    )
     kinds = [next(iter(one.reasons)).kind for one in (unstated, compact, elongated)]
     assert kinds == ["if-compact", "compact", "if-compact"]
     assert rank(compact) == 2 or compact.expected_error >= 0.5

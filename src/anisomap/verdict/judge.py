@@ -205,7 +205,7 @@ class Measurements:
     @property
     def clustering(self) -> float:
         """Spacing over that of as many evenly spaced sensors, at most 1: small in clusters."""
-        clustered = self.uneven and math.isfinite(self.extent)
+        clustered = self.uneven and not self.known_uneven and math.isfinite(self.extent)
         return min(1.0, MAX_EXTENT * math.sqrt(self.largest) / self.extent) if clustered else 1.0
 
     @property
@@ -256,7 +256,7 @@ def judge(measured: Measurements) -> Verdict:
         level = "not usable"
     if small:
         limits.append(Note("small-body", extent=extent))
-    limits += _conditions(measured, error.value, usable=level == "usable")
+    limits += _conditions(measured, error.value / scale, usable=level == "usable")
     if level != "usable":
         limits += measured.faults
     return Verdict(
