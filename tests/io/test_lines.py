@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from anisomap import io
 from anisomap.errors import AnisomapWarning, FileError
+from anisomap.recording import Recording
 from texts import read_alike, sent
 
 ROWS, COLUMNS = 3, 4
@@ -262,6 +263,31 @@ def test_numbers_for_missing_readings(put, mark: float, n_marks: int) -> None:
         found = io.read(path)
     slow[:, :4][slow[:, :4] == mark] = np.nan
     np.testing.assert_allclose(found.readings, slow)
+
+
+FIELDS = [f"{10 + i % 5},{20 + i % 7},{30 + i % 9},{41 + i % 8}" for i in range(60)]
+
+
+@pytest.mark.parametrize("cell", ["12", "12,33", "12,22,FF,43"])
+def test_short_lines_and_hexadecimal_digits_are_bad_lines(put, cell: str) -> None:
+    with pytest.warns(AnisomapWarning, match="left out lines: 1 of 60"):
+        found = io.read(put("run.csv", "\n".join([*FIELDS[:30], cell, *FIELDS[31:]]) + "\n"))
+    assert found.readings.shape == (60, 4)
+    many = [*FIELDS[:9], *["garbage"] * 20, *FIELDS, "1,2,3,4"]
+    with pytest.raises(FileError, match="line 10 has"):  # although the last line may be cut
+        io.read(put("many.csv", "\n".join(many)))
+
+
+def test_own_files_keep_numbers_for_missing_readings_and_gaps_are_no_rest(tmp_path) -> None:
+    readings = np.round(np.abs(SLOW)) + 5.0
+    readings[1::20, 1] = 65535
+    io.write(Recording(readings), tmp_path / "own.csv")
+    np.testing.assert_array_equal(io.read(tmp_path / "own.csv").readings, readings)
+    names = [*(f"s{i}" for i in range(readings.shape[1] - 1)), "palm"]
+    readings[5, -1], readings[6, 0] = np.nan, np.inf
+    rows = "".join(joined(row) + "\n" for row in readings.tolist())
+    (tmp_path / "odd.csv").write_text(f"{joined(names)}\n{rows}")
+    assert io.read(tmp_path / "odd.csv").names == tuple(names)
 
 
 @pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")

@@ -288,7 +288,9 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
     found |= {i: f"a quantity in {names[i]}" for i in units}
     if len(table) >= _MIN_ROWS:
         found |= {i: "empty" for i in odd if np.isnan(table[:, i]).all()}
-        moved = np.ptp(table, axis=0) > 0  # of a skin at rest, none
+        finite = np.isfinite(table)
+        high = np.max(table, axis=0, initial=-np.inf, where=finite)
+        moved = high > np.min(table, axis=0, initial=np.inf, where=finite)  # at rest, none
         resting = [i for i in odd if not moved[i] and 2 * np.count_nonzero(moved) > len(moved)]
         found |= {i: "constant" for i in resting if i not in found}
         found |= _by_values(names, table, found, odd)

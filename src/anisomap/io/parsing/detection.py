@@ -43,7 +43,7 @@ from anisomap.io.parsing.tables import (
 # Chosen by hand, so that a row of numbers is not mistaken for the labels 0, 1, 2, ...
 _MIN_COUNTED = 4
 _MAX_PREAMBLE, _MIN_UNIFORM_ROWS = 100, 5
-_MIN_TEXT_CELLS = 2
+_MIN_TEXT_CELLS, _MOST_DECIMAL = 2, 0.75  # of two hexadecimal digits, 0.4 are decimal
 _MIN_BLOCKS, _MIN_NESTED, _TALL = 3, 2, 128
 # A cell of two numbers with a comma may be one number with a decimal comma.
 _MIN_LISTED = 3
@@ -243,7 +243,9 @@ def _text_columns(
         rows, every, lambda c: not is_number(c, delimiter) and (is_label(c) or is_list(c))
     )
     sums = _columns_of(rows, every, lambda c: bool(SUM.fullmatch(c.strip())))
-    found += tuple(i for i in sums if any(not is_number(row[i], delimiter) for row in rows[1:]))
+    for i in sums:
+        cells = [is_number(row[i], delimiter) for row in rows[1:] if i < len(row)]
+        found += (i,) * (sum(cells) < _MOST_DECIMAL * len(cells))
     found = tuple(i for i in sorted({*found}) if i not in clocks)
     # A file without a column of numbers gives an error about its first cell instead.
     return found if rows and len(found) + len(clocks) < len(rows[0]) else ()

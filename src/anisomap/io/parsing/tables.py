@@ -351,6 +351,7 @@ def read_blocks(
             for rows in parsed(some[:-1] if short else some, table, left, is_cut=is_cut):
                 yield rows, text.fraction()
             if short:
+                left.check()
                 raise LineError(table.path, text.number, " ends in a short number")
             if 2 * left.n_left > left.n_lines:
                 left.check()

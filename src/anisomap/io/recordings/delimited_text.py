@@ -195,7 +195,7 @@ def stream_of(
     return Stream(
         path,
         n_sensors,
-        _blocks(table, roles, matrix, read, facts["names"]),
+        _blocks(table, roles, matrix, read, None if known else _Present(path, facts["names"])),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
         metadata=metadata if known else _column_metadata(table, roles),
@@ -413,11 +413,11 @@ def _blocks(
     roles: Roles,
     matrix: MatrixRows | None,
     read: Callable[..., Iterator[tuple[NDArray[np.float64], float]]],
-    names: Sequence[str],
+    present: _Present | None,
 ) -> Iterator[Block]:
     unrolled = Continued(0.0 if roles.time in table.clocks else roles.per_second)
     lines = table.block is None and matrix is None  # that are a frame each
-    fresh, present = _Fresh(table.path), _Present(table.path, names)
+    fresh = _Fresh(table.path)
     for rows, fraction in read():
         values = fresh(rows) if lines and roles.time is not None else rows
         times = roles.times_in(values)
@@ -425,7 +425,8 @@ def _blocks(
         readings = np.delete(values, roles.non_sensors, axis=1)
         if matrix:
             readings, times = matrix.join(values[:, matrix.columns[0]], readings, times)
-        yield Block(to_float32_if_exact(present(readings)), fraction, times)
+        readings = present(readings) if present else readings
+        yield Block(to_float32_if_exact(readings), fraction, times)
 
 
 @dataclasses.dataclass
