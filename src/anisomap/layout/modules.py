@@ -22,7 +22,6 @@ from anisomap.numerics.procrustes import Similarity, fit_similarity
 from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules
 from anisomap.sensor_map import SensorMap
 
-_MIN_SIZE = 3
 _MAX_GAPS = 100  # channels per sensor
 _MAX_FOLD = 8  # largest order of rotations tried
 _SAME = 0.3  # of the spacing of pads; errors of places that count as equal; chosen by hand
@@ -40,9 +39,7 @@ _NEXT = 1.5  # maximum distance of adjacent modules, relative to the median of n
 _FREE = 0.6  # minimum distance of pads of a free place from other pads, in spacings
 _MAX_TAKEN = 0.1  # share of the pads of a free place that may be nearer to others
 
-# Of the spacing: largest error of places that count as equal. Chosen by hand: layouts of curved
-# bodies bend their modules by up to a tenth of the spacing.
-_TOLERANCE = 0.25
+_TOLERANCE = 0.25  # of the spacing: error that counts as equal; curved bodies bend by up to 0.1
 _MAX_MODULE = 64  # channels
 _MIN_REPEATED = 0.5  # share of the sensors that must be on modules of one shape
 _CLEARLY_MORE = 0.1  # the share for a multiple of the true size is hardly larger
@@ -89,11 +86,11 @@ def find_modules(layout: SensorMap, modules: Modules | int | None = None) -> Mod
     positions, numbers = layout.positions[placed], _channels(layout)[placed]
     if modules is None:
         size, first = rigid_repeats(positions, numbers)
-    elif _MIN_SIZE <= modules <= max(_MIN_SIZE, len(placed) // 2):
+    elif MIN_PADS <= modules <= max(MIN_PADS, len(placed) // 2):
         size, (first, _) = modules, blocks_of_size(positions, numbers, modules)
     else:
         raise InputError(
-            f"the size of modules must be {_MIN_SIZE} to half the number of sensors "
+            f"the size of modules must be {MIN_PADS} to half the number of sensors "
             f"({len(placed) // 2}), got {modules}"
         )
     index, pads = (np.full(layout.n_sensors, NO_MODULE) for _ in range(2))
@@ -248,8 +245,7 @@ def orientations(template: NDArray[np.float64]) -> tuple[Orientation, ...]:
             found.append(Orientation(reflected, degrees, places, target, fits))
     target = everyone.copy()
     target[exist] = exist[::-1]
-    found.append(Orientation(False, 0.0, template[target], target, backwards=True))
-    return tuple(found)
+    return (*found, Orientation(False, 0.0, template[target], target, backwards=True))
 
 
 def _symmetry(
@@ -336,6 +332,7 @@ class Mounting:
         used = np.unique(np.concatenate([modules.pads[inside] for inside in members]))
         pitch = float(np.median(nearest_distances(template[used])))
         back = np.arange(len(template))
+        template[np.isin(back, used, invert=True)] = np.nan
         back[used] = used[::-1]
         kept, pads, fits = [], [], []
         for inside in members:
@@ -349,20 +346,16 @@ class Mounting:
                 kept.append(inside[near])
                 pads.append(pad[near])
                 fits.append(fit)
-        part = np.full_like(template, np.nan)
-        part[used] = template[used]
-        frames, centres, _ = zip(*fits, strict=True) if fits else ((), (), ())
-        mounting = cls(
+        return cls(
             tuple(kept),
             tuple(pads),
-            orientations(part),
-            np.array(frames).reshape(-1, k, k),
-            np.array(centres).reshape(-1, k),
+            orientations(template),
+            np.array([fit[0] for fit in fits]).reshape(-1, k, k),
+            np.array([fit[1] for fit in fits]).reshape(-1, k),
             np.empty((len(kept), len(template), k)),
             home,
             pitch,
-        )
-        return mounting._seated(positions)
+        )._seated(positions)
 
     @property
     def n_modules(self) -> int:
@@ -503,10 +496,8 @@ class Mounting:
 def _inscribed(pads: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Return the centre and radius of the largest circle in the convex hull of pads (P, 2)."""
     planes = ConvexHull(pads).equations
-    norms = np.ones((len(planes), 1))
-    found: Any = linprog(
-        [0, 0, -1], np.hstack([planes[:, :2], norms]), -planes[:, 2], bounds=(None, None)
-    )
+    sides = np.insert(planes[:, :2], 2, 1, axis=1)  # the length of their normals
+    found: Any = linprog([0, 0, -1], sides, -planes[:, 2], bounds=(None, None))
     return np.asarray(found.x[:2]), float(found.x[2])
 
 
@@ -521,11 +512,9 @@ def _scaled(
     flat = template[:, :2]
     if units in METRES and modules.units in METRES:
         return np.asarray(flat * (METRES[modules.units] / METRES[units]))
-    scales = []
-    for pads, places in shapes:
-        k = places.shape[1]
-        scales.append(fit_similarity(padded(flat[pads], k), places, reflection=None).scale)
-    return np.asarray(flat * float(np.median(scales)))
+    k = shapes[0][1].shape[1]
+    fits = [fit_similarity(padded(flat[pads], k), at, reflection=None) for pads, at in shapes]
+    return np.asarray(flat * float(np.median([fit.scale for fit in fits])))
 
 
 def _common_shape(
