@@ -72,6 +72,7 @@ def test_every_orientation_is_named_with_its_angle(turn, statistics):
     way = MOUNTING.orientations[turn]
     expected = "reversed" if way.backwards else "mirrored" if way.reflected else "turned"
     assert finding.kind == expected
+    assert finding.explanation.endswith("pads in reverse order") == way.backwards
     assert finding.certainty == "certain"
     (module,) = finding.modules
     assert module.mirror == way.reflected
@@ -79,14 +80,6 @@ def test_every_orientation_is_named_with_its_angle(turn, statistics):
         assert abs(module.angle) == pytest.approx(abs(way.angle), abs=0.1)
     turned = module.new_orientation - module.old_orientation
     assert (turned - module.angle + 180) % 360 == pytest.approx(180, abs=0.2)
-
-
-def test_a_reversed_connector_is_named_by_its_cause(statistics):
-    found = check_layout(
-        with_orientations({5: BACKWARDS}), RECORDING, modules=MODULES, statistics=statistics
-    )
-    (finding,) = found.findings
-    assert finding.explanation.endswith("pads in reverse order")
 
 
 @pytest.mark.parametrize("run", [(2, 5), (1, 4)])
@@ -133,17 +126,13 @@ def test_modules_on_each_other_are_a_finding(statistics):
     assert {int(found.module[i]) for i in finding.sensors} <= {0, 7}
 
 
-def test_a_consistent_layout_names_what_was_not_tested(statistics):
-    found = check_layout(RIGHT, RECORDING, modules=MODULES, statistics=statistics)
-    assert found.consistent
-    assert "less than 2 to 3 spacings (1.73 and 2.6 mm)" in " ".join(found.notes)
-
-
-def test_patches_are_moved_from_ten_contacts_on():
+def test_a_consistent_layout_names_what_was_not_tested():
+    """Patches are moved from ten contacts on."""
     few = Recording(np.asarray(RECORDING.readings)[:300], names=NAMES)
     for recording, told in ((few, True), (RECORDING, False)):
         found = check_layout(RIGHT, recording, modules=MODULES)
         assert found.consistent
+        assert "less than 2 to 3 spacings (1.73 and 2.6 mm)" in " ".join(found.notes)
         assert ("moved patches" in " ".join(found.notes)) == told
 
 
@@ -156,8 +145,7 @@ def test_a_mirrored_patch_is_one_finding(statistics):
     assert finding.kind == "mirrored"
     assert finding.explanation.startswith("the 4 modules taxel0 to taxel9, taxel10 to taxel19")
     assert finding.explanation.endswith("of one patch are mirrored in their places")
-    assert finding.agreement_proposed > finding.agreement_stated
-    assert finding.z > 3
+    assert finding.certainty == "certain"
 
 
 @pytest.mark.parametrize(
@@ -201,15 +189,6 @@ def test_that_nothing_tells_how_a_separate_patch_lies_is_said():
     found = check_layout(layout, Recording(readings, names=names), modules=modules)
     assert found.consistent
     assert "begin with modules taxel120 to taxel129" in " ".join(found.notes)
-
-
-def test_a_turn_by_the_symmetry_of_a_layout_is_not_found(statistics):
-    """Distances between all places stay as they are."""
-    angle = np.deg2rad(77)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    for matrix in (turn, turn @ np.diag([1, -1])):
-        layout = replace(RIGHT, positions=TRUTH @ matrix.T + [5, -3])
-        assert check_layout(layout, RECORDING, modules=MODULES, statistics=statistics).consistent
 
 
 @pytest.mark.parametrize("turn", [0, *TURNED, MIRRORED[0]])
@@ -309,6 +288,10 @@ def test_wrong_triangles_of_a_real_robot_are_named_and_no_other(name, recordings
         found = check_layout(stated, recording, modules=modules, statistics=statistics)
         on_places = [finding for finding in found.findings if finding.kind != "dead"]
         assert {found.names(finding)[0] for finding in on_places} == wrong
+        if layout == "torso_flat":
+            # As the robot's display states them: from 120 degrees to 0, and from 120 to 240.
+            senses = [finding.explanation.split()[-1] for finding in on_places]
+            assert senses == ["clockwise", "counterclockwise"]
         again = check_layout(found.corrected, recording, modules=modules, statistics=statistics)
         assert {finding.kind for finding in again.findings} <= {"dead", "overlapping"}
 
