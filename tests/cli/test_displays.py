@@ -62,9 +62,9 @@ def test_damaged_displays_are_refused(lines, expected, tmp_path):
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"names": [f"left {i}a" for i in range(10)]}, "needs names of its pads"),
+        ({"names": [f"left {i}a" for i in range(10)]}, "needs names of pads"),
         ({"units": "spacings"}, "needs a map of 2 dimensions"),
-        ({"positions": 1.3 * PADS[[*TACTILE]]}, "not those of a triangle"),
+        ({"positions": 1.3 * PADS[[*TACTILE]]}, "not placed as pads of a triangle"),
     ],
 )
 def test_other_maps_are_not_written(change, expected, tmp_path):

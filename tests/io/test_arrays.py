@@ -58,7 +58,7 @@ def test_several_datasets_are_listed_and_one_is_selected(h5) -> None:
     for name, message in (
         ("", r"2 possible.*left/skin.*300 x 6.*--select"),
         ("skin", "several datasets match 'skin'"),
-        ("middle", "no dataset 'middle'; the file holds left/skin"),
+        ("middle", "no dataset 'middle'; it holds left/skin"),
         ("one", "no dataset that can be a recording; it holds one"),
     ):
         with pytest.raises(FileError, match=message):

@@ -56,11 +56,7 @@ LINES: dict[str, tuple[Callable[[int, list[int]], str], float | None, str]] = {
     "labels of two words": (labelled("Sensor {k}: {v}", ", "), None, "Sensor 0"),
     "labels with an index": (labelled("s[{k}]={v}", "; "), None, "s[0]"),
     "labels before a blank": (labelled("T{k} {v}"), None, "T0"),
-    "letters before values": (
-        lambda _, r: " ".join(map("{}{}".format, "ABCDEFGHIJKL", r)),
-        None,
-        "A",
-    ),
+    "letters": (lambda _, r: " ".join(map("{}{}".format, "ABCDEFGHIJKL", r)), None, "A"),
     "NMEA": (lambda i, r: f"$SKIN,{joined(r)}*{i % 100:02X}", None, "s0"),
     "blocks": (lambda _, r: matrix(r) + "\n", None, "r0c0"),
     "blocks with commas": (lambda _, r: matrix(r, ",") + "\n", None, "r0c0"),
@@ -299,20 +295,6 @@ def test_lines_that_were_sent_twice_or_cut(put) -> None:
         found = read_alike(put("run.csv", text))
         np.testing.assert_array_equal(found.readings, whole[:kept])
         assert found.rate_hz == pytest.approx(50)
-
-
-def test_frames_that_begin_within_a_frame(put) -> None:
-    at = np.abs(SLOW[:, :1, None] / 9 % 16 - 8)
-    frames = np.round(99 * np.maximum(0, 2 - np.abs(np.arange(8)[:, None] - at)) + np.zeros(4))
-    lines = "".join(joined(row) + "\n" for row in np.tile(frames, (2, 1, 1)).reshape(-1, 4))
-    assert np.array_equal(
-        read_alike(put("whole.csv", lines), (8, 4)).readings[:200], frames.reshape(200, 32)
-    )
-    with pytest.warns(AnisomapWarning, match="seem to begin with row 5"):
-        io.read(
-            put("cut.csv", "\n".join(lines.split("\n")[3:-6]) + "\n"),
-            options=io.ReadOptions(grid=(8, 4)),
-        )
 
 
 @pytest.mark.parametrize("name", ["ms", "millis", "micros"])

@@ -41,12 +41,8 @@ def _electrodes(path: Path) -> None:
 
 
 LIBRARIES = {"pandas": "pandas", "mne": "mne", "PIL": "PIL.Image", "numpy": "numpy"}
-MAKERS: dict[str, Callable[[Path], None]] = {
-    "skin.parquet": _table,
-    "skin.feather": _table,
-    "film.tif": _film,
-    "run_raw.fif": _electrodes,
-}
+MAKERS: dict[str, Callable[[Path], None]] = {"film.tif": _film, "run_raw.fif": _electrodes}
+MAKERS |= {"skin.parquet": _table, "skin.feather": _table}
 
 
 @pytest.mark.parametrize("name", MAKERS)
@@ -75,6 +71,7 @@ def test_the_line_that_a_refusal_names_makes_the_recording(tmp_path: Path, name:
         ("x.json", '{"specification": "probeinterface", "probes": []}', "read_probeinterface"),
         ("x.bdf", "a,b\n1,2\n", "mne.io.read_raw"),
         ("x.xlsx", "a,b\n1,2\n", "save its table as CSV"),
+        ("x.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "is a mesh, as anisomap place"),
     ],
 )
 def test_other_formats_name_what_is_right(put, name: str, content: str, said: str) -> None:

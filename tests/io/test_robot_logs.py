@@ -134,7 +134,7 @@ def test_a_session_with_several_ports(put, tmp_path: Path, select: str) -> None:
     assert [content.name for content in io.contents(folder)] == ["left_arm", "left_hand"]
     found = io.read(folder, options=io.ReadOptions(select=select))
     assert found.metadata["port"] == "/icub/skin/left_arm"
-    with pytest.raises(FileError, match=r"there is no port 'torso'; the file holds left_arm"):
+    with pytest.raises(FileError, match=r"there is no port 'torso'; it holds left_arm"):
         io.read(folder, options=io.ReadOptions(select="torso"))
 
 

@@ -207,15 +207,13 @@ def test_fields_of_unknown_messages(bag: Bag, tmp_path: Path) -> None:
         for row in READINGS.astype(np.float32)
     )
     path = written(bag, tmp_path, "/lab", messages)
-    with pytest.raises(FileError, match=r"choose a field of /lab .*fields: skin, joints"):
+    with pytest.raises(FileError, match=r"/lab .*needs a field.*fields: skin, joints"):
         io.read(path)
     found = io.read(path, options=select("/lab:skin"))
     np.testing.assert_array_equal(found.readings, READINGS)
-    with pytest.raises(
-        FileError, match=r"/lab has no field 'palm'; fields with arrays of numbers: skin, joints"
-    ):
+    with pytest.raises(FileError, match=r"/lab has no field 'palm'; fields: skin, joints"):
         io.read(path, options=select("/lab:palm"))
-    with pytest.raises(FileError, match=r"no topic '/nothing'; the file holds /lab \(lab_msgs"):
+    with pytest.raises(FileError, match=r"no topic '/nothing'; it holds /lab \(lab_msgs"):
         io.read(path, options=select("/nothing"))
 
 
@@ -230,7 +228,7 @@ def test_topics_are_listed(bag: Bag, tmp_path: Path) -> None:
 def test_messages_of_different_length(bag: Bag, tmp_path: Path) -> None:
     rows = (row[: 6 - (i == 40)] for i, row in enumerate(READINGS))
     path = written(bag, tmp_path, "/skin", map(bag.array, rows))
-    with pytest.raises(FileError, match="message 40 of /skin has 5 readings, but the first has 6"):
+    with pytest.raises(FileError, match="message 40 of /skin has 5 readings instead of 6"):
         io.read(path)
 
 

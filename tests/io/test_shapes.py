@@ -99,13 +99,8 @@ def test_columns_that_are_no_sensors(put, name: str, last: bool) -> None:
 
 def test_columns_beside_pressures_of_insoles(put) -> None:
     """Inertial units, sums and centres of pressure, which are empty without load."""
-    others = [
-        "acceleration X[g]",
-        "angular Y[dps]",
-        "total force[N]",
-        "mass[kg]",
-        "center of pressure X[-1...1]",
-    ]
+    others = ["acceleration X[g]", "angular Y[dps]", "total force[N]", "mass[kg]"]
+    others.append("center of pressure X[-1...1]")
     names = [f"{s} pressure {k}[N/cm\u00b2]" for s in ("left", "right") for k in range(6)]
     rows = np.column_stack([PRESSED, RNG.normal(size=(N_FRAMES, 5))]).round(2).astype(object)
     rows[100:130, -1] = ""
@@ -143,14 +138,11 @@ def test_sensors_stay_sensors(put, names: list[str]) -> None:
 
 @pytest.mark.parametrize("unit", ["[kPa]", "(N)", "[mV]", "(counts)", "[a.u.]"])
 def test_units_leave_names(put, unit: str) -> None:
-    found = io.read(put("run.csv", text([f"{name} {unit}" for name in NAMES], PRESSED)))
-    assert found.names == tuple(NAMES)
+    path = put("run.csv", text([f"{name} {unit}" for name in NAMES], PRESSED))
     layout = put("layout.csv", "name,x,y\n" + "".join(f"c{k},{k},0\n" for k in range(12)))
-    placed = io.read(
-        put("run.csv", text([f"{name} {unit}" for name in NAMES], PRESSED)),
-        options=ReadOptions(positions=layout),
-    )
-    np.testing.assert_array_equal(placed.positions[:, 0], np.arange(12))
+    found = io.read(path, options=ReadOptions(positions=layout))
+    assert found.names == tuple(NAMES)
+    np.testing.assert_array_equal(found.positions[:, 0], np.arange(12))
 
 
 def test_names_are_matched_by_order_only_where_a_side_has_none() -> None:
@@ -163,9 +155,8 @@ def test_names_are_matched_by_order_only_where_a_side_has_none() -> None:
 
 def test_rows_of_a_grid(put) -> None:
     frames = RNG.integers(0, 99, (50, 6, 4))
-    path = put(
-        "mat.txt", "\n".join(" ".join(map(str, row)) for row in frames.reshape(-1, 4).tolist())
-    )
+    lines = (" ".join(map(str, row)) for row in frames.reshape(-1, 4).tolist())
+    path = put("mat.txt", "\n".join(lines))
     found = io.read(path, options=ReadOptions(grid=(6, 4)))
     np.testing.assert_array_equal(found.readings, frames.reshape(50, -1))
     assert found.names[5] == "r1c1"
@@ -176,9 +167,7 @@ def test_rows_of_a_grid(put) -> None:
 def test_frames_that_are_numbered_by_row(put) -> None:
     rows = [[k // 3, *row] for k, row in enumerate(PRESSED.reshape(-1, 4).tolist())]
     path = put("mat.csv", "".join(",".join(map(str, row)) + "\n" for row in rows))
-    with pytest.raises(
-        FileError, match=r"numbers frames of 3 rows and 4 columns: .* give --grid 3x4"
-    ):
+    with pytest.raises(FileError, match=r"frames of 3 rows and 4 columns: .* give --grid 3x4"):
         io.read(path)
     found = io.read(path, options=ReadOptions(grid=(3, 4)))
     np.testing.assert_array_equal(found.readings, PRESSED)

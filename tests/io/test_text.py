@@ -69,11 +69,7 @@ TABLES = [
         )
         for name in ("Frame", "seq", "", "Unnamed: 0")
     ),
-    hold(
-        ",0,1,2,3\n" + table(beside(COUNT)),
-        readings=READINGS,
-        metadata={"counter_column": "column 1"},
-    ),
+    hold(",0,1,2,3\n" + table(beside(COUNT)), readings=READINGS, times=None),
     *(
         hold(header + table(beside(COUNT, COUNT / 8)), readings=READINGS, times=COUNT / 8)
         for header in ("seq,time,a,b,c,d\n", "")
@@ -115,7 +111,7 @@ TABLES = [
         "a,b,a,a_2,a\n1,2,3,4,5\n6,7,8,9,10\n",
         names=("a", "b", "a_3", "a_2", "a_4"),
         readings=[[1, 2, 3, 4, 5], [6, 7, 8, 9, 10]],
-        warns="x\\.csv: names of several sensors: a; they",
+        warns="x\\.csv: names of several sensors: a; numbered",
     ),
     hold(
         "a,b,c\n1,2,3\n4,5,6\n7,8",

@@ -181,11 +181,9 @@ def clock_of(name: str, times: NDArray[np.floating]) -> Clock:
     since_1970 = start > SINCE_1970_S and step < _MOST_SINCE_1970_S
     if not (units or since_1970) and per_second == 1 and step > _LONGEST_S:
         per_second = next(unit for unit in (1e3, 1e6, 1e9) if step / unit <= 1 or unit == 1e9)
-        doubt = (
-            f"its times are taken as {_SYMBOLS[per_second]} ({per_second / step:.4g} frames per "
-            f"second), since {step:g} s from frame to frame is implausible; name the unit, as in "
-            "time [s]"
-        )
+        taken = f"{_SYMBOLS[per_second]} ({per_second / step:.4g} frames per second)"
+        implausible = f"since {step:g} s from frame to frame is implausible"
+        doubt = f"its times are taken as {taken}, {implausible}; name the unit, as in time [s]"
     elif math.isfinite(rate := per_second / step) and not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
         doubt = f"its times give {rate:.4g} frames per second, which is doubtful"
     return Clock(per_second, doubt)

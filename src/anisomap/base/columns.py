@@ -231,32 +231,26 @@ _UNITS = re.compile(
 def without_units(names: Sequence[str]) -> tuple[str, ...]:
     """Return names without units in brackets, unless units distinguish columns."""
     matches = [_UNIT.fullmatch(name) for name in names]
-    short = [
-        match[1] if match and _UNITS.fullmatch(match[2].strip()) else name
-        for name, match in zip(names, matches, strict=True)
-    ]
+    pairs = zip(names, matches, strict=True)
+    short = [m[1] if m and _UNITS.fullmatch(m[2].strip()) else name for name, m in pairs]
     return tuple(short) if len(set(short)) == len(set(names)) else tuple(names)
 
 
 COUNTER = "a counter"
-_LABELS = (
-    "label labels class classes target subject participant person patient trial session condition "
-    "gesture activity category episode repetition rep fold split annotation marker trigger prefix"
-)
-_OTHERS = {
-    **dict.fromkeys(_LABELS.split(), "a label"),
-    **dict.fromkeys(
-        ["imu", "quat", "quaternion", "euler", "roll", "pitch", "yaw", "heading", "angular"],
-        "an inertial unit",
-    ),
-    **dict.fromkeys(["temp", "temperature", "temperatur", "humidity"], "a temperature or humidity"),
-    **dict.fromkeys(["battery", "batt", "vbat", "rssi"], "a state of the read-out"),
-    **dict.fromkeys(["seq", "sequence", "counter", "packet"], COUNTER),
-    **dict.fromkeys(["sum", "summe", "total", "grf", "checksum", "crc"], "a sum or checksum"),
-    **dict.fromkeys(["mean", "average", "avg", "max", "min", "std"], "a statistic of others"),
-    **dict.fromkeys(["cop", "copx", "copy"], "a centre of pressure"),
-    **dict.fromkeys(["flag", "contact", "slip"], "a flag"),
+_WORDS = {
+    "a label": "label labels class classes target subject participant person patient trial session "
+    "condition gesture activity category episode repetition rep fold split annotation marker "
+    "trigger prefix",
+    "an inertial unit": "imu quat quaternion euler roll pitch yaw heading angular",
+    "a temperature or humidity": "temp temperature temperatur humidity",
+    "a state of the read-out": "battery batt vbat rssi",
+    COUNTER: "seq sequence counter packet",
+    "a sum or checksum": "sum summe total grf checksum crc",
+    "a statistic of others": "mean average avg max min std",
+    "a centre of pressure": "cop copx copy",
+    "a flag": "flag contact slip",
 }
+_OTHERS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _MOTION = re.compile(r"(?:acc|accel\w*|gyr|gyro\w*|mag|magnetometer)[xyz]?", re.IGNORECASE)
 _PHRASES = {
     "a centre of pressure": re.compile(r"cent(?:er|re) of (?:pressure|force|mass)"),

@@ -84,9 +84,7 @@ def _one_axis(stream: Stream, axis: str, taxels: Taxels, left_out: Collection[in
     places = np.array([*taxels.columns.values()])
     kept, names = taxels.kept(stream.names, left_out, "z" if axis == "norm" else axis)
     if len(set(names)) < len(names):
-        raise FileError(
-            f"{stream.path}: taxels with three axes have the names of other columns; give --keep"
-        )
+        raise FileError(f"{stream.path}: taxels have the names of other columns; give --keep")
     if axis == "norm":
         first, stream = _peeked(stream)
         with np.errstate(invalid="ignore"):

@@ -214,9 +214,7 @@ def _stream(
     n_frames, n_sensors = shape[frames.time], frames.n_sensors
     n_bytes, held = math.prod(shape) * dtype.itemsize, size - stream.tell()
     if n_bytes > held:
-        raise DamagedError(
-            f"{path} is cut short: {what} needs {n_bytes} bytes, but {held} follow the header"
-        )
+        raise DamagedError(f"{path} is cut short: {what} has {held} of {n_bytes} bytes")
     if times is not None and times.shape != (n_frames,):
         raise InputError(f"times must have shape ({n_frames},), got {times.shape}")
     times = None if times is None else increasing_times(times, path)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import TypeAlias
 
@@ -50,16 +49,11 @@ def with_grid(recording: Recording, grid: tuple[int, int] | None) -> Recording:
     if rows * columns != recording.n_sensors:
         cells = None if unnamed else cells_of(recording.names, rows, columns)
     if cells is None:
-        raise InputError(
-            f"a {rows} x {columns} grid has {rows * columns} sensors, but the recording has "
-            f"{recording.n_sensors}, and their names do not give the cells, as r3c5 or cell50 do"
-        )
-    return replace(
-        recording,
-        positions=grid_positions(rows, columns)[cells],
-        units=UNITS,
-        names=grid_names(rows, columns) if unnamed else recording.names,
-    )
+        size = f"{rows} x {columns} grid of {rows * columns}, and names give no cells, as r3c5"
+        raise InputError(f"{recording.n_sensors} sensors do not fill a {size}")
+    names = grid_names(rows, columns) if unnamed else recording.names
+    places = grid_positions(rows, columns)[cells]
+    return replace(recording, positions=places, units=UNITS, names=names)
 
 
 def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
@@ -73,7 +67,6 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
 
     def blocks() -> Iterator[Block]:
         held: Block | None = None
-        seen, n_seen = list[NDArray[np.floating]](), 0
         for block in stream.blocks:
             whole = join_blocks([held, block]) if held else block
             n_frames = len(whole.readings) // rows
@@ -81,39 +74,12 @@ def in_grid(stream: Stream, grid: tuple[int, int] | None) -> Stream:
             whole = whole.part(0, n_frames * rows)
             arrays = {name: each[::rows] for name, each in whole.arrays.items()}
             arrays["readings"] = whole.readings.reshape(n_frames, rows * columns)
-            if n_seen < _MIN_SEEN <= (n_seen := n_seen + n_frames):
-                _warn_of_shift(stream.path, np.concatenate([*seen, arrays["readings"]]), rows)
-            seen = [*seen, arrays["readings"]] if n_seen < _MIN_SEEN else []
             yield replace(whole, **arrays)
         if held and len(held.readings):
-            raise FileError(
-                f"{stream.path}: its rows are not a multiple of the {rows} rows of a frame"
-            )
+            raise FileError(f"{stream.path}: its lines are not a multiple of the {rows} rows")
 
     rate = None if stream.rate_hz is None else stream.rate_hz / rows
-    return replace(
-        stream,
-        n_sensors=rows * columns,
-        blocks=blocks(),
-        names=grid_names(rows, columns),
-        rate_hz=rate,
-        positions=None,
-        normals=None,
-        surface_distances=None,
-        locate=None,
-    )
-
-
-def _warn_of_shift(path: Path, frames: NDArray[np.floating], rows: int) -> None:
-    """Warn if the first and last rows of frames, (t, N), are similar, and other pairs are not."""
-    cells = np.nan_to_num(frames).reshape(len(frames), rows, -1)
-    cells = np.abs(cells - np.median(cells, axis=0))
-    following = np.roll(cells, -1, axis=1)
-    with np.errstate(invalid="ignore"):
-        apart = np.abs(cells - following).sum(axis=(0, 2)) / (cells + following).sum(axis=(0, 2))
-    seam = int(np.nanargmax([*apart[:-1], -1.0]))
-    if apart[seam] > apart[-1] + _SHIFTED:
-        warn(path, f"frames seem to begin with row {seam + 1}: the first line may be within one")
+    return stream.of_others(grid_names(rows, columns), blocks(), rate)
 
 
 def _without_empty_cells(recording: Recording) -> Recording:
@@ -124,8 +90,6 @@ def _without_empty_cells(recording: Recording) -> Recording:
     warn(recording.source, f"{cells} have no reading; they are taken as silent")
     return replace(recording, readings=np.where(empty, 0, recording.readings))
 
-
-_MIN_SEEN, _SHIFTED = 300, 0.2  # frames; minimum excess of the difference between rows
 
 Numbering: TypeAlias = Callable[[Recording], dict[int, str]]
 """Function that returns the index and name of each value of a recording that is a sensor."""
@@ -145,11 +109,8 @@ def apply_preset(recording: Recording, preset: str) -> Recording:
     chosen = recording.select(list(kept))
     rest = float(np.nanmedian(chosen.readings[0]))
     state = "raw, falls when pressed" if rest > _RAW_REST else "compensated, rests at 0"
-    return replace(
-        chosen,
-        names=tuple(kept.values()),
-        metadata={**recording.metadata, "preset": preset, "skin": state},
-    )
+    metadata = {**recording.metadata, "preset": preset, "skin": state}
+    return replace(chosen, names=tuple(kept.values()), metadata=metadata)
 
 
 def check_preset(preset: str) -> None:
@@ -185,8 +146,7 @@ def icub(recording: Recording) -> dict[int, str]:
         return icub_hand(recording)
     if recording.n_sensors % _TRIANGLE:
         raise InputError(
-            f"the number of values of an iCub port must be a multiple of {_TRIANGLE} (a "
-            f"triangle), got {recording.n_sensors}"
+            f"an iCub port has a multiple of {_TRIANGLE} values, got {recording.n_sensors}"
         )
     varying = recording.varying().reshape(-1, _TRIANGLE)
     present = np.asarray(varying.any(axis=1))

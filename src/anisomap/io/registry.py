@@ -290,11 +290,9 @@ def check_no_frames(files: Sequence[Path], runs: Sequence[Recording], options: R
         return
     rows, columns = shapes.pop()
     if 1 < rows <= max(2 * columns, _MAX_ROWS) and columns > 1:
-        raise FileError(
-            f"{files[0]} and {len(runs) - 1} others are tables of {rows} x {columns} without "
-            f"names: read each as a frame with --grid {rows}x{columns}, or name their columns if "
-            "they are runs of one skin"
-        )
+        size = f"tables of {rows} x {columns} without names"
+        remedy = f"give --grid {rows}x{columns} if each is a frame, or name the columns of runs"
+        raise FileError(f"{files[0]} and {len(runs) - 1} others are {size}: {remedy}")
 
 
 def attach_positions(recording: Recording, positions: Path | None) -> Recording:
@@ -326,10 +324,8 @@ def _places(names: Sequence[str], path: object, file: Path) -> dict[str, Any]:
     truth = read_map(file)
     rows = match_names(names, truth.names)
     if all(row is None or not truth.placed[row] for row in rows):
-        raise FileError(
-            f"{file} has no position for any sensor of {path}: it names {truth.names[0]} ... "
-            f"{truth.names[-1]}, and the recording {names[0]} ... {names[-1]}"
-        )
+        both = f"it names {truth.names[0]} ..., and the recording {names[0]} ..."
+        raise FileError(f"{file} has no position for any sensor of {path}: {both}")
     unknown = np.full(truth.dimensions, np.nan)
     places = np.array([unknown if row is None else truth.positions[row] for row in rows])
     return {"positions": places, "units": truth.units}
@@ -391,16 +387,11 @@ def _recognise(file: Path) -> Format:
         return chosen
     if file.is_dir():
         names = join_items([path.name for path in files_of(file)], _MAX_LISTED)
-        raise FileError(
-            f"{file} is a folder; its files are several runs of one skin, or with --grid one frame "
-            f"each: {names}"
-        )
+        raise FileError(f"{file} is a folder of runs, or with --grid of frames: {names}")
     by_suffix = (f for f in FORMATS if suffix in f.suffixes)
     if chosen := next(by_suffix, text_format if text_format.matches(file, start) else None):
         return chosen
-    raise FileError(
-        f"{file} has an unknown format; 'anisomap list formats' lists the formats that are read"
-    )
+    raise FileError(f"{file} has an unknown format; 'anisomap list formats' lists the known ones")
 
 
 def files_of(path: str | os.PathLike[str]) -> tuple[Path, ...]:

@@ -106,15 +106,11 @@ def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> C
         ]
         if len(named) != 1:
             problem = f"several {noun}s match" if named else f"there is no {noun}"
-            raise FileError(
-                f"{path}: {problem} {select!r}; the file holds {_listed(named or contents)}"
-            )
+            raise FileError(f"{path}: {problem} {select!r}; it holds {_listed(named or contents)}")
         return named[0]
     if len(usable) > 1:
-        raise ChoiceError(
-            f"{path} holds {len(usable)} possible recordings ({noun}s): {_listed(usable)}; "
-            "choose one with --select"
-        )
+        problem = f"holds {len(usable)} possible recordings ({noun}s): {_listed(usable)}"
+        raise ChoiceError(f"{path} {problem}; choose one with --select")
     if not usable:
         listing = f"; it holds {_listed(contents)}" if contents else ""
         raise FileError(f"{path} holds no {noun} that can be a recording{listing}")
@@ -180,14 +176,10 @@ class ReadOptions:
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.grid is not None and not (
-            isinstance(self.grid, tuple | list)
-            and len(self.grid) == 2
-            and all(isinstance(n, int | np.integer) and n >= 1 for n in self.grid)
-        ):
-            raise InputError(
-                f"grid must be two whole numbers of at least 1, rows and columns, got {self.grid!r}"
-            )
+        sizes = self.grid if isinstance(self.grid, tuple | list) else ()
+        whole = [isinstance(n, int | np.integer) and n >= 1 for n in sizes]
+        if self.grid is not None and whole != [True, True]:
+            raise InputError(f"grid must be numbers of rows and columns, got {self.grid!r}")
         if self.axis not in AXES:
             raise InputError(f"axis must be one of {', '.join(AXES)}, got {self.axis!r}")
 
@@ -243,6 +235,16 @@ class Stream:
     from_zero: bool = False
     locate: Callable[[int], str] | None = None
     raw_columns: bool = False
+
+    def of_others(
+        self, names: tuple[str, ...], blocks: Iterator[Block], rate_hz: float | None
+    ) -> Stream:
+        """Return a stream of other sensors, whose places are unknown."""
+        facts: dict[str, Any] = dict.fromkeys(
+            ("positions", "normals", "surface_distances", "locate")
+        )
+        facts |= {"n_sensors": len(names), "names": names, "blocks": blocks, "rate_hz": rate_hz}
+        return replace(self, **facts)
 
 
 FRAMES_SAMPLED = "frames_sampled_every"
@@ -419,16 +421,7 @@ def join_streams(streams: Mapping[str, Stream]) -> Stream:
         for part, stream in streams.items()
         for name in stream.names or default_names(stream.n_sensors)
     )
-    return replace(
-        leader,
-        n_sensors=len(names),
-        blocks=_joined_blocks(leader, followers, [*streams]),
-        names=names,
-        positions=None,
-        normals=None,
-        surface_distances=None,
-        locate=None,
-    )
+    return leader.of_others(names, _joined_blocks(leader, followers, [*streams]), leader.rate_hz)
 
 
 def _joined_blocks(

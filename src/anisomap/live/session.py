@@ -494,10 +494,7 @@ class LiveSession:
         if spacing:
             sensor_map = scaled_to_spacing(sensor_map, *parse_length(spacing))
         elif io.needs_scale(path):
-            raise InputError(
-                f"the format of {path.name} is in metres: give the distance between neighbouring "
-                "sensors, such as 6.5mm"
-            )
+            raise InputError(f"{path.name} is in metres: give a spacing, such as 6.5mm")
         io.write(sensor_map, path)
         return path
 
@@ -505,12 +502,9 @@ class LiveSession:
         """Write the report on the checked map."""
         sensor_map, checked = self.maps.made, self.maps.checked
         report.check_writable(path)
-        report.write_report(
-            path,
-            sensor_map,
-            health=() if checked is None else checked.health,
-            summary=None if checked is None else checked.summary,
-        )
+        health = () if checked is None else checked.health
+        summary = None if checked is None else checked.summary
+        report.write_report(path, sensor_map, health=health, summary=summary)
         return path
 
     def stop(self) -> None:

@@ -37,11 +37,11 @@ def taxel(**changes: object) -> str:
     return json.dumps({"skin": {"taxels": rows}})
 
 
-NO_CELLS = "2 x 3 grid has 6 sensors, but the recording has 3, and their names do not give"
+NO_CELLS = "3 sensors do not fill a 2 x 3 grid of 6, and names give no cells"
 CHOSEN: list[tuple[dict[str, object], str, str, str]] = [
     ({"select": "a/b"}, "x.csv", "1,2\n3,4\n", "single recording; leave out --select a/b"),
     ({"select": "a,b"}, "data.log", log("{}"), "single recording; leave out --select a,b"),
-    ({"grid": (4, 4)}, "x.csv", "1,2\n3,4\n", "4 x 4 grid has 16 sensors, but the recording has 2"),
+    ({"grid": (4, 4)}, "x.csv", "1,2\n3,4\n", "2 sensors do not fill a 4 x 4 grid of 16"),
     *(
         ({"grid": (2, 3)}, "x.csv", f"{names}\n1,2,3\n4,5,6\n", NO_CELLS)
         for names in ("c1,c4,c6", "c1,c1x,c2", "r0c1,r2c1,r1c2", "a,b,c")
@@ -64,7 +64,7 @@ RECORDINGS = [
     ("data.log", "1 1379926523.5 ()\n2 1379926523.6 ()\n", "stamps, but no values"),
     ("hand.txt", cyskin("38135", "38134"), "line 6 lists other addresses than the first frame"),
     ("walk.asf", mat(third="x3,4\n"), "the frame at line"),
-    ("walk.asf", mat(rows="5"), "2 x 2 cells, but the header says 5 x 2"),
+    ("walk.asf", mat(rows="5"), "2 x 2 cells instead of 5 x 2"),
     ("walk.asc", INSOLE, "line 16 has 2 instead of 5 fields: the header names 5"),
     ("h.json", taxel(), "holds no recording"),
 ]
@@ -104,7 +104,7 @@ MAPS = [
     ("m.json", sensors({"position": [1, "2"]}), "sensor 0: position must hold numbers or null"),
     ("m.json", sensors({"name": 3}), "sensor 0: name is '3'; it must be str"),
     ("m.json", sensors({"component": 10**30}), "too large"),
-    ("m.json", sensors(stress="low"), "stress must be a number"),
+    ("m.json", sensors(stress="low"), "stress, notes, verdict or provenance"),
     ("m.json", '{\n "sensors": [\n  }\n', "m.json, line 3, column 3: not valid JSON"),
     ("h.json", taxel(x=[0, 1, "2"]), f"taxel 1: {POINT}"),
     ("h.json", taxel(id=-3), "taxel 1: id must be a whole number, got '-3'"),

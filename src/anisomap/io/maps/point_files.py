@@ -121,9 +121,7 @@ def _read_vertices(
             raise LineError(path, number, problem)
         rows.append(parse_row(path, number, fields, wanted))
     if len(rows) != count:
-        raise FileError(
-            f"{path} is damaged: its header announces {count} vertices, but it has {len(rows)}"
-        )
+        raise FileError(f"{path} is damaged: it has {len(rows)} of {count} vertices")
     values = dict(zip(wanted.values(), np.array(rows).T, strict=True))
     if any(np.isinf(values[axis]).any() for axis in _AXES):
         raise FileError(f"{path}: x, y and z must be finite, or nan for a sensor without a place")
@@ -165,8 +163,7 @@ def write_icub(sensor_map: SensorMap, path: Path) -> None:
     ports = np.array(numbers_of(sensor_map.names) or range(sensor_map.n_sensors))[skin.indices]
     if ports.max() >= _MAX_VALUES:
         raise InputError(
-            f"sensor {skin.names[int(ports.argmax())]} has port index {ports.max()}, which must be "
-            f"below {_MAX_VALUES}; rename the sensors"
+            f"port index {ports.max()} must be below {_MAX_VALUES}; rename the sensors"
         )
     # A multiple of the board size, and at least one line of zeros after the last taxel.
     n_values = (int(ports.max()) // _BOARD + 1) * _BOARD

@@ -55,12 +55,9 @@ def write_urdf(sensor_map: SensorMap, path: Path) -> None:
     """Write a link with fixed frames; as ``.xacro``, a macro with the parent link as parameter."""
     skin = _named_taxels(sensor_map, "URDF")
     if len(skin.names) > _MAX_FRAMES:
-        warnings.warn(
-            f"the map gives {len(skin.names)} frames, one per sensor; more than {_MAX_FRAMES} slow "
-            "down software that tracks frames, so consider the tactile element or another format",
-            AnisomapWarning,
-            stacklevel=2,
-        )
+        problem = f"{len(skin.names)} frames, one per sensor, slow down software that tracks frames"
+        remedy = "consider the tactile element or another format"
+        warnings.warn(f"{problem}; {remedy}", AnisomapWarning, stacklevel=2)
     macro = path.suffix.lower() == ".xacro"
     skin = _without_expressions(skin, escaped=macro)
     space = {"xmlns:xacro": "http://www.ros.org/wiki/xacro"}
@@ -105,9 +102,7 @@ def _named_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     skin = to_taxels(sensor_map, purpose)
     for name in (*skin.names, skin.frame):
         if _FORBIDDEN.search(name):
-            raise FileError(
-                f"{purpose} cannot represent the name {quote(name)} with control characters"
-            )
+            raise FileError(f"{purpose} cannot represent control characters, as in {quote(name)}")
     return skin
 
 
@@ -120,10 +115,7 @@ def _without_expressions(skin: Taxels, *, escaped: bool) -> Taxels:
         return replace(skin, frame=frame, names=tuple(others))
     for name in names:
         if "${" in name or "$(" in name:
-            raise FileError(
-                f"URDF cannot represent the name {quote(name)}, which xacro would evaluate; rename "
-                "the sensor or frame"
-            )
+            raise FileError(f"xacro would evaluate the name {quote(name)}; rename it")
     return skin
 
 
@@ -143,11 +135,8 @@ def _document(
     ]
     if np.isfinite(sensor_map.errors).any():
         lines.append("90% of the sensors are within their error, in metres:")
-        lines += [
-            f"error of {name}: {error * METRES[sensor_map.units]:.3g}"
-            for name, error in zip(sensor_map.names, sensor_map.errors.tolist(), strict=True)
-            if math.isfinite(error)
-        ]
+        errors = zip(sensor_map.names, METRES[sensor_map.units] * sensor_map.errors, strict=True)
+        lines += [f"error of {name}: {e:.3g}" for name, e in errors if math.isfinite(e)]
     document.extend(map(_comment, lines))
     return document
 
@@ -182,10 +171,8 @@ def read_urdf(path: Path) -> SensorMap:
         name, parent = _part(joint, "child", "link"), _part(joint, "parent", "link")
         parents = parents or [parent]
         if parent != parents[0]:
-            raise FileError(
-                f"{path}: fixed frames must have one parent link, got {quote(parents[0])} and "
-                f"{quote(parent)}"
-            )
+            both = f"{quote(parents[0])} and {quote(parent)}"
+            raise FileError(f"{path}: fixed frames must have one parent link, got {both}")
         if name in positions:
             raise FileError(f"{path}: {quote(name)} is the child of two fixed joints")
         origin = _part(joint, "origin", "xyz", _ZERO)

@@ -106,10 +106,8 @@ def write_display(sensor_map: SensorMap, path: Path) -> None:
     placed = sensor_map.select(np.flatnonzero(sensor_map.placed))
     indices = channels_of(placed.names)
     if indices is None:
-        raise InputError(
-            "a display of an iCub's skin needs names of its pads, as b0.t3.k11 or taxel47, which "
-            f"count {_PADS} pads of each triangle, but the map has {quote(placed.names[0])}"
-        )
+        first = quote(placed.names[0])
+        raise InputError(f"a display needs names of pads, as b0.t3.k11 or taxel47, got {first}")
     if placed.dimensions != 2 or placed.units not in METRES:
         raise InputError("a display of an iCub's skin needs a map of 2 dimensions in mm, cm or m")
     positions = placed.positions * (METRES[placed.units] / METRES["mm"])
@@ -138,10 +136,7 @@ def _pose(
         fit = fit_similarity(PADS[pads], positions, scaling=False, reflection=None)
     off = np.inf if fit is None else fit.apply(PADS[pads]) - positions
     if fit is None or np.sqrt(np.mean(np.square(off)) * 2) > _MAX_MISFIT:
-        raise InputError(
-            f"the places of {names[0]} to {names[-1]} are not those of a triangle of {_PADS} pads "
-            "in millimetres"
-        )
+        raise InputError(f"{names[0]} to {names[-1]} are not placed as pads of a triangle, in mm")
     turn = fit.rotation * ([-1, 1] if fit.reflected else [1, 1])
     degrees = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
     x, y = fit.translation.tolist()

@@ -87,9 +87,8 @@ def read_text(path: Path) -> SensorMap:
             try:
                 values.append(parse(row[index]))
             except ValueError:
-                raise field_error(
-                    path, line, index, row[index], problem=f"is not {expected}"
-                ) from None
+                problem = f"is not {expected}"
+                raise field_error(path, line, index, row[index], problem=problem) from None
         return values
 
     def numbers(*indices: int) -> NDArray[np.float64]:
@@ -149,12 +148,8 @@ def _find_columns(
     start = 0 if is_number(fields[0], None) else 1
     if len(fields) - start in (2, 3) and all(is_number(f, None) for f in fields[start:]):
         return list(range(start, len(fields))), {}, ""
-    raise LineError(
-        path,
-        line,
-        f" ({quote(', '.join(fields))}) gives no columns x and y; the table needs a header with "
-        "x, y (and z), or two or three columns of numbers after an optional column of names",
-    )
+    needed = "the table needs a header with x, y (and z), or two or three columns of numbers"
+    raise LineError(path, line, f" ({quote(', '.join(fields))}) gives no columns x and y; {needed}")
 
 
 def _read_comments(lines: Sequence[str], units: str) -> dict[str, Any]:
@@ -388,9 +383,7 @@ def _numbers(what: str, value: object, shape: tuple[int, ...]) -> Any:
     if not isinstance(value, list):
         raise FileError(f"{what} is {quote(str(value))}; it must be list")
     if len(value) != shape[0]:
-        raise FileError(
-            f"{what} must have {shape[0]} coordinates, as for sensor 0, got {len(value)}"
-        )
+        raise FileError(f"{what} must have {shape[0]} coordinates, got {len(value)}")
     return [_numbers(what, each, shape[1:]) for each in value]
 
 
@@ -405,10 +398,8 @@ def _read_json_properties(path: Path, document: dict[str, Any]) -> dict[str, Any
         }
         return read_properties({**stored, **numbers, "provenance": provenance})
     except (ValueError, TypeError, AttributeError) as error:
-        raise FileError(
-            f"{path}: stress must be a number, notes a list, verdict an object as anisomap writes "
-            f"it, and provenance an object of strings and numbers ({error})"
-        ) from error
+        problem = "stress, notes, verdict or provenance is not as anisomap writes it"
+        raise FileError(f"{path}: {problem} ({error})") from error
 
 
 def _to_json(value: Any) -> Any:

@@ -113,10 +113,8 @@ def find_table(path: Path, sample: Sequence[str], own_delimiter: str | None = No
     above = {line.strip() for line in sample[: table.first_line - 1] if not is_apart(line)}
     header = _split(sample[preamble - 1], table.delimiter) if preamble else []
     if 2 < 2 * len(header) == table.n_columns and table.delimiter == ",":
-        raise RefusedError(
-            f"{path}: the header names {len(header)}, and the lines below have twice as many "
-            "fields: commas are decimal and separate fields, too; save it with semicolons"
-        )
+        problem = "commas are decimal and separate fields, too"
+        raise RefusedError(f"{path}: {problem}; save it with semicolons")
     numeric = (i for i in range(preamble) if _is_numeric(sample[i], table.delimiter))
     if not table.skipped and (first := next(numeric, -1)) >= 0:
         shown = quote(sample[first].strip())
@@ -167,13 +165,11 @@ def _find_columns(
     n_units = bool(header and len(body) > 1 and _are_units(body[0], body[1], delimiter))
     n_headers = bool(header and len(body) > 1 and _are_numbers_of(header, body[0]))
     if n_headers:
-        header = [
-            f"{name}.{number}" if name else "" for name, number in zip(header, body[0], strict=True)
-        ]
+        pairs = zip(header, body[0], strict=True)
+        header = [f"{name}.{number}" if name else "" for name, number in pairs]
     body = body[n_units + n_headers :]
     n_apart = _count_apart(body) if has_header and not own_delimiter else 0
     shown, body = join_items(body[0] if body else [], 4), body[n_apart:]
-    units = "a row of units" if n_units else ""
     width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
     if header:
         named = header[: len(header) - empty_columns([header])]
@@ -183,23 +179,16 @@ def _find_columns(
         header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
         n_columns = len(header) if body else 0
         because = f"the header names {n_columns}"
-        first_line = found[1 + n_units + n_headers + n_apart][0] if body else len(sample) + 1
+        first = found[1 + n_units + n_headers + n_apart][0] if body else len(sample) + 1
     else:
-        n_columns, trailing, first_line = width - empty, empty, 1
+        n_columns, trailing, first = width - empty, empty, 1
         because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
-    changed = delimiter != "," or trailing
-    return Table(
-        path,
-        delimiter,
-        n_columns,
-        because,
-        preamble + first_line,
-        tuple(header),
-        functools.partial(_clean, delimiter, trailing, framed=framed) if changed else None,
-        text,
-        clocks,
-        skipped=f"rows unlike the others: {n_apart}, from {shown} on" if n_apart else units,
-    )
+    clean = functools.partial(_clean, delimiter, trailing, framed=framed)
+    shape = (n_columns, because, preamble + first, tuple(header))
+    table = Table(path, delimiter, *shape, clean if delimiter != "," or trailing else None)
+    skipped = "a row of units" if n_units else ""
+    skipped = f"rows unlike the others: {n_apart}, from {shown} on" if n_apart else skipped
+    return replace(table, text_columns=text, clocks=clocks, skipped=skipped)
 
 
 def _unframed(line: str) -> str:
@@ -293,8 +282,7 @@ def _find_lines(path: Path, sample: Sequence[str], preamble: int) -> Table | Non
     names, header = template.names, _header_of(template, lines[start - 1 : start])
     named = bool(header) and not all(names)
     names = tuple(header) if named else names
-    table = _of_lines(path, filled, start, names, convert=template, n_headers=int(named))
-    return replace(table, clocks=tuple(sorted(template.clocks)))
+    return _of_lines(path, filled, start, names, convert=template, n_headers=int(named))
 
 
 def _header_of(template: Template, above: Sequence[str]) -> list[str]:
@@ -327,15 +315,11 @@ def _of_lines(
         f"line {number} has {len(names)}",
         number,
         names,
-        _filled(convert),
+        lambda line: "" if is_apart(line) else convert(line.partition("#")[0]),
+        clocks=tuple(sorted(convert.clocks)) if isinstance(convert, Template) else (),
         numeric=",",
         skipped=f"lines at the start: {join_items(above, 1)}" if above else "",
     )
-
-
-def _filled(convert: Callable[[str], str]) -> Callable[[str], str]:
-    """Return a function that converts lines, except skipped lines."""
-    return lambda line: "" if is_apart(line) else convert(line.partition("#")[0])
 
 
 def _is_clock(cell: str) -> bool:
@@ -344,12 +328,8 @@ def _is_clock(cell: str) -> bool:
 
 def is_list(cell: str) -> bool:
     """Return whether a cell contains a list of at least three numbers and no other text."""
-    return len(listed(cell)) >= _MIN_LISTED and all(map(is_number, listed(cell)))
-
-
-def listed(cell: str) -> list[str]:
-    """Split a cell at separators and brackets."""
-    return [field for field in _BETWEEN.split(cell) if field]
+    fields = [field for field in _BETWEEN.split(cell) if field]
+    return len(fields) >= _MIN_LISTED and all(map(is_number, fields))
 
 
 def _are_row_names(body: Sequence[Sequence[str]]) -> bool:
@@ -422,19 +402,9 @@ def _find_nested(path: Path, sample: Sequence[str]) -> Table | None:
     number = 1 + next(i for i, line in enumerate(sample) if line == lines[first])
     n_rows = _inner_rows(joined[0])
     fits = n_rows and template.n_values % n_rows == 0 and not any(template.names)
-    return Table(
-        path,
-        None,
-        template.n_values,
-        f"the frame at line {number} has {template.n_values}",
-        number,
-        template.names,
-        _filled(template),
-        clocks=tuple(sorted(template.clocks)),
-        block=(n_rows, template.n_values // n_rows) if fits else None,
-        nested=True,
-        numeric=",",
-    )
+    block = (n_rows, template.n_values // n_rows) if fits else None
+    table = _of_lines(path, [(number, "")], 0, template.names, convert=template)
+    return replace(table, block=block, nested=True)
 
 
 def _inner_rows(frame: str) -> int:
@@ -485,11 +455,9 @@ def _doubt_of(blocks: NDArray[np.float64]) -> str:
     if changes[1] >= _CONTINUOUS * changes[0]:
         return ""
     size = "{}x{}".format(*blocks.shape[1:])
-    return (
-        f"empty lines or words divide blocks of {size} numbers, which change less within blocks "
-        f"than from one to the next: give --grid {size} if each block is a frame, or remove these "
-        "lines if each line is a frame"
-    )
+    problem = f"blocks of {size} numbers change less within blocks than from one to the next"
+    remedy = "if each block is a frame, or remove these lines if each line is a frame"
+    return f"{problem}: give --grid {size} {remedy}"
 
 
 def _looks_like_header(
@@ -504,7 +472,5 @@ def _looks_like_header(
 
 def _counts(fields: Sequence[str]) -> bool:
     """Return whether fields are 0, 1, 2, ... or 1, 2, 3, ...: default labels of data frames."""
-    return len(fields) >= _MIN_COUNTED and any(
-        all(field.strip() == str(number) for number, field in enumerate(fields, start))
-        for start in (0, 1)
-    )
+    counted = ([str(i + start) for i in range(len(fields))] for start in (0, 1))
+    return len(fields) >= _MIN_COUNTED and [*map(str.strip, fields)] in counted

@@ -28,9 +28,7 @@ def check_encodable(words: Iterable[str], file: Path) -> None:
     """Reject null characters and unpaired surrogates."""
     for word in words:
         if "\0" in word or any("\ud800" <= character <= "\udfff" for character in word):
-            raise FileError(
-                f"cannot write {file}: {quote(word)} contains a character that is not valid text"
-            )
+            raise FileError(f"cannot write {file}: {quote(word)} is not valid text")
 
 
 # Spreadsheets pad comment lines with empty cells when they save a file.
@@ -84,10 +82,7 @@ def to_python_scalar(value: object) -> Scalar:
     """Convert a numpy scalar to a Python scalar."""
     scalar = value.item() if isinstance(value, np.generic) else value
     if not isinstance(scalar, Scalar):
-        raise InputError(
-            "values of provenance and metadata must be str, int, float or bool, "
-            f"got {type(value).__name__}"
-        )
+        raise InputError(f"metadata must be str, int, float or bool, got {type(value).__name__}")
     return scalar
 
 

@@ -89,10 +89,8 @@ class Template:
         texts, tokens = _split(line, self.decimal)
         fits = texts == self.texts and all(tokens[i] == word for i, word in self.fixed.items())
         if not fits:
-            raise MisfitError(
-                f"{quote(line.strip())} does not fit the lines before it, such as "
-                f"{quote(self.example.strip())}"
-            )
+            before = quote(self.example.strip())
+            raise MisfitError(f"{quote(line.strip())} does not fit lines such as {before}")
         kept = [token for i, token in enumerate(tokens) if i not in self.fixed]
         return ",".join(
             _seconds(token) if i in self.clocks else _plain(token) for i, token in enumerate(kept)
@@ -161,24 +159,17 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
     stamped = parse_clock(columns[0][0]) is not None and raw[1].isspace() and raw[1] not in raw[2:]
     if not stamped and not "".join(raw).strip(" ,;|\t"):  # a table with some wrong cells
         return None
-    clocks = frozenset(
-        i
-        for i, tokens in enumerate(columns)
-        if ":" in tokens[0] or parse_clock(tokens[0]) is not None
-    )
+    first = [tokens[0] for tokens in columns]
+    clocks = frozenset(i for i, s in enumerate(first) if ":" in s or parse_clock(s) is not None)
     labels = [
         i for i in range(1, len(columns)) if _is_glued(raw, i) and _ENDS_LABEL.match(raw[i + 1])
     ]
     if any(len(set(columns[i])) > 1 for i in labels):
         raise InputError(
-            f"the labels of the values change from line to line, as in {quote(example.strip())}: "
-            "all lines must hold the same labels in the same order"
+            f"the labels of the values must not change, as in {quote(example.strip())}"
         )
-    fixed = {
-        i: tokens[0]
-        for i, tokens in enumerate(columns)
-        if len(set(tokens)) == 1 and i not in clocks and _labels(raw, i)
-    }
+    constant = [i for i, tokens in enumerate(columns) if len({*tokens}) == 1 and i not in clocks]
+    fixed = {i: first[i] for i in constant if _labels(raw, i)}
     names = _names(raw, columns, fixed, clocks)
     if not names:
         return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,21 +60,12 @@ class Roles:
 
     def mapped(self, place: Callable[[int], int | None]) -> Roles:
         """Return the roles with other indices; columns whose place is None have no role."""
-
-        def places(columns: Iterable[int]) -> tuple[int, ...]:
-            return tuple(i for i in map(place, columns) if i is not None)
-
         single = (self.time, self.nanoseconds, self.counter)
+        several = (self.non_sensors, self.guessed)
         time, rest, counter = (None if i is None else place(i) for i in single)
-        return Roles(
-            time,
-            self.per_second,
-            "" if time is None else self.doubt,
-            rest,
-            counter,
-            places(self.non_sensors),
-            places(self.guessed),
-        )
+        others = (tuple(i for i in map(place, each) if i is not None) for each in several)
+        doubt = "" if time is None else self.doubt
+        return Roles(time, self.per_second, doubt, rest, counter, *others)
 
 
 def with_kept(
@@ -136,11 +127,9 @@ def roles_by_name(header: Sequence[str], table: NDArray[np.float64]) -> Roles:
     stamps = _find_stamps(header, table)
     times = [*itertools.chain.from_iterable(stamps)]
     times += [i for i, name in enumerate(header) if is_time(name, i) and i not in times]
-    counters = [
-        i
-        for i, name in enumerate(header[:2])
-        if name.lower().replace("_", " ").strip() in COUNTER_NAMES and _is_counter(table[:, i])
-    ]
+    plain = [name.lower().replace("_", " ").strip() for name in header[:2]]
+    counters = [i for i, name in enumerate(plain) if name in COUNTER_NAMES]
+    counters = [i for i in counters if _is_counter(table[:, i])]
     guessed = []
     if len(table) >= _MIN_FRAMES:
         known = set(times)
@@ -249,12 +238,8 @@ def distinct_names(path: Path, names: Sequence[str]) -> tuple[str, ...]:
             unique = f"{name}_{counts[name]}"
         found[unique] = None
     repeated = [quote_if_needed(name) for name in counts]
-    example = next(iter(counts))
-    warn(
-        path,
-        f"names of several sensors: {join_items(repeated, 5)}; they are numbered in order, as in "
-        f"{quote_if_needed(example)} and {quote_if_needed(f'{example}_2')}",
-    )
+    example = quote_if_needed(f"{next(iter(counts))}_2")
+    warn(path, f"names of several sensors: {join_items(repeated, 5)}; numbered as in {example}")
     return tuple(found)
 
 

@@ -135,11 +135,8 @@ def refuse_text(path: Path, sample: Sequence[str]) -> None:
     inside = (i for i in range(1, len(lines)) if numeric[i - 1])
     rows = [i for i in inside if _ROWS_LEFT_OUT.fullmatch(lines[i])]
     if len(cut) > _MIN_SHARE * len(lines) or rows:
-        raise RefusedError(
-            f"{path} leaves out numbers, as in {quote(lines[(cut + rows)[0]].strip())}: save them "
-            "all, as numpy.savetxt does, or print them after "
-            "numpy.set_printoptions(threshold=sys.maxsize)"
-        )
+        shown = quote(lines[(cut + rows)[0]].strip())
+        raise RefusedError(f"{path} leaves out numbers, as in {shown}: use numpy.savetxt")
     head = [line for line in sample if line.strip()][:_ROWS_LOOKED_AT]
     for share, pattern, said in _KINDS:
         match = re.compile(pattern, re.IGNORECASE).search
@@ -148,10 +145,7 @@ def refuse_text(path: Path, sample: Sequence[str]) -> None:
             raise RefusedError(f"{path} {said.format(quote(found[0]))}")
     keys = sum(bool(_ECHO_KEY.match(line)) for line in lines)
     if keys > 1 and sum(bool(_ECHO.fullmatch(line)) for line in lines) > 1:
-        raise RefusedError(
-            f"{path} holds messages as ros2 topic echo prints them: record a bag, or print them "
-            "with --csv (rostopic: -p)"
-        )
+        raise RefusedError(f"{path} is output of ros2 topic echo: record a bag, or use --csv")
 
 
 def refuse_thousands(table: Table, sample: Sequence[str]) -> None:
@@ -161,9 +155,9 @@ def refuse_thousands(table: Table, sample: Sequence[str]) -> None:
         others = [cell for cell in map(str.strip, cells) if cell and not _GROUPED.fullmatch(cell)]
         whole = any(map(_WHOLE.fullmatch, others)) and all(map(str.isdecimal, others))
         if whole and len(set(grouped)) >= _MIN_GROUPED:
+            shown = quote(grouped[0])
             raise RefusedError(
-                f"{table.path}: commas separate thousands in {quote(grouped[0])}, beside numbers "
-                "without; remove them from the file"
+                f"{table.path}: commas separate thousands, as in {shown}; remove them"
             )
 
 
@@ -229,10 +223,9 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
         if levels and (evident or _number_frames(rows, len(levels))):
             long = f"; {_pivot(*table.names)}" if len(table.names) == 3 and i == 1 else ""
             shown = ", ".join([*map(quote_if_needed, levels[:3]), "..."][: len(levels) + 1])
-            raise RefusedError(
-                f"{table.path}: {label} repeats {shown}, so that {len(levels)} lines seem to be a "
-                f"frame: write them in one line; give --keep if it is a sensor{long}"
-            )
+            problem = f"repeats {shown}, so that {len(levels)} lines seem to be a frame"
+            remedy = f"write them in one line; give --keep if it is a sensor{long}"
+            raise RefusedError(f"{table.path}: {label} {problem}: {remedy}")
 
 
 def rows_of(table: Table, sample: Sequence[str]) -> list[list[str]]:
@@ -254,11 +247,9 @@ def _cells(table: Table, line: str) -> list[str]:
 
 def _number_frames(rows: Sequence[Sequence[str]], height: int) -> bool:
     """Return whether a column is constant in all lines of a frame, and changes between frames."""
-    for cells in zip(*rows, strict=False):
-        runs = [len([*run]) for _, run in itertools.groupby(cells)]
-        if {*runs[1:-1]} == {height} and max(runs) == height:  # the ends may be cut
-            return True
-    return False
+    columns = ([len([*run]) for _, run in itertools.groupby(c)] for c in zip(*rows, strict=False))
+    # The first and the last may be cut.
+    return any({*runs[1:-1]} == {height} == {max(runs)} for runs in columns)
 
 
 def _cycle(cells: Sequence[str]) -> list[str]:
@@ -294,12 +285,13 @@ def _refuse_events(path: Path, lines: Sequence[str]) -> None:
             raise RefusedError(f"{path} lists events", FROM_EVENTS)
         return
     words = [{word.removesuffix("s") for word in words_of(name)} for name in header]
-    moments = [i for i, name in enumerate(header) if is_time(name, i) or _is_of(words[i], _MOMENTS)]
-    active = [i for i, each in enumerate(words) if _is_of(each, _ACTIVE)]
-    values = [i for i, each in enumerate(words) if _is_of(each, _VALUES)]
-    if not rows or len(moments) != 1 or len(active) != 1:
-        return
-    if not keys and len(header) != 2 + len(values[:1]):
+    moments = [
+        i for i, name in enumerate(header) if is_time(name, i) or set() < words[i] <= _MOMENTS
+    ]
+    active = [i for i, each in enumerate(words) if set() < each <= _ACTIVE]
+    values = [i for i, each in enumerate(words) if set() < each <= _VALUES]
+    whole = bool(keys) or len(header) == 2 + len(values[:1])
+    if not (rows and whole and len(moments) == len(active) == 1):
         return
     sensors = (row[active[0]] for row in rows if len(row) > active[0])
     if all(not cell or cell.isdecimal() or not is_number(cell) for cell in sensors):
@@ -312,7 +304,3 @@ def _refuse_events(path: Path, lines: Sequence[str]) -> None:
 def _pivot(index: str, columns: str, values: str) -> str:
     by = f"index={index!r}, columns={columns!r}, values={values!r}"
     return f"in Python it is anisomap.Recording(pandas.read_csv(path).pivot({by}).fillna(0))"
-
-
-def _is_of(words: set[str], known: set[str]) -> bool:
-    return bool(words) and known >= words

@@ -60,12 +60,8 @@ def warn_of_loss(path: Path, error: BaseException, found: str, fraction: float) 
     """Warn that only a fraction of a file could be read, such as ``"3 frames"``."""
     loss = 1 - fraction
     lost = f" (about {loss:.0%} of the file)" if loss > _MIN_REPORTED_LOSS else ""
-    warnings.warn(
-        f"{path} is damaged or cut short ({error_reason(error)}): read the {found} before the "
-        f"damage, lost the rest{lost}",
-        AnisomapWarning,
-        stacklevel=3,
-    )
+    problem = f"damaged or cut short ({error_reason(error)})"
+    warn(path, f"{problem}: read the {found} before the damage, lost the rest{lost}")
 
 
 HEAD_BYTES = 1 << 16
@@ -95,9 +91,8 @@ def file_errors(path: Path) -> Iterator[None]:
     except InputError as error:
         raise FileError(f"{path}: {error}") from error
     except UnicodeDecodeError as error:
-        raise FileError(
-            f"{path} is not UTF-8 text{_undecodable(path)}; save it as UTF-8"
-        ) from error
+        where = _undecodable(path)
+        raise FileError(f"{path} is not UTF-8 text{where}; save it as UTF-8") from error
     except csv.Error as error:
         raise FileError(f"{path}: unbalanced quotation marks ({error})") from error
     except (*GZIP_ERRORS, zipfile.BadZipFile) as error:
@@ -313,10 +308,7 @@ def read_json(path: Path) -> Any:
     budget.check(_OBJECT_BYTES * len(text), "its text")
     n_parts = text.count("[") + text.count("{")
     if n_parts > max(_FREE_PARTS, len(text) // _PART_CHARACTERS):
-        raise FileError(
-            f"{path} holds {n_parts} lists and objects in {len(text)} characters, too many for a "
-            "map; it is damaged or a decompression bomb"
-        )
+        raise FileError(f"{path} is damaged: {n_parts} lists and objects are too many for a map")
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:

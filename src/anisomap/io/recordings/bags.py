@@ -271,12 +271,9 @@ class _Bag:
         types = {topic: str(info.msgtype or "") for topic, info in topics.items()}
         tactile = any(map(is_tactile, types.values()))
         fits = is_tactile if tactile else self.array_fields
+        usable = {topic: bool(fits(types[topic]) and topics[topic].msgcount) for topic in topics}
         return tuple(
-            Content(
-                str(topic),
-                f"{info.msgtype}, messages: {info.msgcount}",
-                bool(fits(types[topic]) and info.msgcount),
-            )
+            Content(str(topic), f"{info.msgtype}, messages: {info.msgcount}", usable[topic])
             for topic, info in topics.items()
         )
 
@@ -297,19 +294,15 @@ class _Bag:
         message_type = str(self.reader.topics[topic].msgtype)
         fields = self.array_fields(message_type) or self.array_fields(message_type, in_lists=True)
         if message_type not in self.reader.typestore.fielddefs:
-            raise FileError(
-                f"{self.path} lacks the definition of message type {message_type} of {topic}; "
-                "give it (--msg FILE, or ReadOptions.definitions)"
-            )
+            lacked = f"the definition of message type {message_type} of {topic}"
+            raise FileError(f"{self.path} lacks {lacked}; give it (--msg FILE)")
         kind = kind_of(message_type, fields)
         field = field or (kind.field if kind else "")
         if kind is None or not field:
-            if not fields:
-                raise FileError(f"{self.path}: {topic} ({message_type}) has no array of numbers")
-            raise FileError(
-                f"{self.path}: choose a field of {topic} ({message_type}) with --select "
-                f"TOPIC:FIELD; fields: {join_items(fields)}"
-            )
+            problem = "has no array of numbers"
+            if fields:
+                problem = f"needs a field, --select TOPIC:FIELD; fields: {join_items(fields)}"
+            raise FileError(f"{self.path}: {topic} ({message_type}) {problem}")
         return _Topic(self, topic, message_type, field, kind).stream()
 
     def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
@@ -408,10 +401,9 @@ class _Topic:
         try:
             values = self.kind.values(message, self.field)
         except AttributeError as error:
-            raise FileError(
-                f"{self.bag.path}: {self.name} has no field {self.field!r}; fields with arrays of "
-                f"numbers: {join_items(self.bag.array_fields(self.message_type))}"
-            ) from error
+            known = join_items(self.bag.array_fields(self.message_type))
+            problem = f"{self.name} has no field {self.field!r}; fields: {known}"
+            raise FileError(f"{self.bag.path}: {problem}") from error
         except (ValueError, TypeError) as error:
             raise FileError(f"{self.bag.path}: {self.name}: {error}") from error
         if values.dtype.kind not in "biuf":
@@ -454,10 +446,8 @@ class _Topic:
 
     def _check_size(self, what: str, values: NDArray[Any], expected: int) -> None:
         if values.size != expected:
-            raise FileError(
-                f"{self.bag.path}: {what} of {self.name} has {values.size} readings, but the first "
-                f"has {expected}"
-            )
+            problem = f"has {values.size} readings instead of {expected}, as the first"
+            raise FileError(f"{self.bag.path}: {what} of {self.name} {problem}")
 
 
 def prepare(path: Path) -> Path:
@@ -483,10 +473,7 @@ def prepare(path: Path) -> Path:
 
 def _check_closed(path: Path, closed: bool, repair: str) -> None:
     if not closed:
-        raise FileError(
-            f"{path} was cut short or not closed by its recorder; repair it first: "
-            f"{repair.format(path.name)}"
-        )
+        raise FileError(f"{path} was not closed; repair it first: {repair.format(path.name)}")
 
 
 def register_definitions(store: Any, files: Iterable[Path]) -> None:
@@ -502,10 +489,7 @@ def _type_name(file: Path) -> str:
     if not package and file.parent.name == "msg":
         package = file.absolute().parent.parent.name
     if not package:
-        raise FileError(
-            f"the package of {file} is unknown; name the file PACKAGE/msg/NAME.msg or "
-            "PACKAGE.NAME.msg"
-        )
+        raise FileError(f"the package of {file} is unknown; name the file PACKAGE.NAME.msg")
     return f"{package}/msg/{name}"
 
 

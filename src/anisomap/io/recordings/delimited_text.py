@@ -27,6 +27,7 @@ from anisomap.base.columns import odd_names
 from anisomap.base.wording import join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
+from anisomap.io.parsing import refusals
 from anisomap.io.parsing.detection import find_table
 from anisomap.io.parsing.facts import read_comments, write_comments
 from anisomap.io.parsing.lines import as_objects
@@ -37,14 +38,6 @@ from anisomap.io.parsing.names import (
     roles_by_name,
     warn_of_guesses,
     with_kept,
-)
-from anisomap.io.parsing.refusals import (
-    lines_per_frame,
-    refuse_lists,
-    refuse_text,
-    refuse_thousands,
-    refuse_turned,
-    rows_of,
 )
 from anisomap.io.parsing.source import RefusedError, lines_of, quote_if_needed, warn
 from anisomap.io.parsing.tables import (
@@ -73,10 +66,7 @@ _MAX_CLOCKS = 2  # columns that are a time or a frame counter
 _TIME_COLUMN = "time_s"
 _DELIMITERS = {"separated by commas": ",", "separated by tabs": "\t"}
 _IN_FIRST_COLUMN, _NO_TIMES = "first column, seconds", "none"
-_MARKED = {
-    mark: re.compile(rf"(?<![\d.,])\d++{sign}\d++(?![\d.,])")
-    for mark, sign in (("commas", ","), ("points", r"\."))
-}
+_MARKED = re.compile(r"(?<![\d.,])\d++[.,]\d++(?![\d.,])")
 _WHOLE = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?![\d.,])")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}[,.]\d{3}")
 _ROW, _CYCLIC = {"row", "line", "zeile"}, 0.9  # words; share of steps to the next row
@@ -122,12 +112,12 @@ def layout_of(
     """Find the layout of lines; raise FileError unless they are a table of frames."""
     own = _DELIMITERS.get(str(known.get("fields")), "") if known else None
     if not known:
-        refuse_text(path, sample)
+        refusals.refuse_text(path, sample)
     table = find_table(path, sample, own)
     n_least = table.n_columns - len(table.text_columns) - _MAX_CLOCKS
     Budget(path).check(SENSOR_BYTES * n_least, "its list of sensors")
     if not known:
-        refuse_lists(table, sample)
+        refusals.refuse_lists(table, sample)
     if not table.n_columns:
         content = "only a header" if table.names else "no line of numbers"
         raise FileError(f"{path} holds {content}; it must have one line of numbers per frame")
@@ -172,9 +162,10 @@ def stream_of(
             non_sensors = (*roles.non_sensors, *matrix.columns)
             roles = dataclasses.replace(roles, non_sensors=non_sensors)
         elif not options.keep:
-            refuse_turned(table, sample, {*roles.non_sensors} - {*table.text_columns})
+            refusals.refuse_turned(table, sample, {*roles.non_sensors} - {*table.text_columns})
             roles = _without_frame_numbers(table, roles, options.grid, start)
-            roles = _without_unlike(table, roles, rows_of(table, sample[: table.first_line + 99]))
+            rows = refusals.rows_of(table, sample[: table.first_line + 99])
+            roles = _without_unlike(table, roles, rows)
     n_sensors = table.n_columns - len(roles.non_sensors)
     if n_sensors < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
@@ -218,7 +209,7 @@ def _say(table: Table, sample: Sequence[str]) -> None:
         apart = "brackets" if table.nested else "empty lines, comments or words"
         warn(table.path, f"{apart} divide frames of {size}")
     if table.separator != ",":
-        refuse_thousands(table, sample)
+        refusals.refuse_thousands(table, sample)
         _warn_of_commas(table.path, sample)
 
 
@@ -230,18 +221,17 @@ def write_recording(recording: Recording, path: Path) -> None:
         warn(path.suffix, f"{problem}; use .npz to keep them")
     points = {key: getattr(recording, key) for key in _POINTS}
     facts = {key: _points_text(array) for key, array in points.items() if array is not None}
+    header = header_text(
+        recording.names,
+        delimiter=delimiter,
+        source=recording.source,
+        timed=recording.times is not None,
+        rate_hz=recording.rate_hz,
+        metadata=recording.metadata,
+        facts=facts | ({_UNITS: recording.units} if recording.units else {}),
+    )
     with path.open("w", encoding="utf-8", newline="") as stream:
-        stream.write(
-            header_text(
-                recording.names,
-                delimiter=delimiter,
-                source=recording.source,
-                timed=recording.times is not None,
-                rate_hz=recording.rate_hz,
-                metadata=recording.metadata,
-                facts=facts | ({_UNITS: recording.units} if recording.units else {}),
-            )
-        )
+        stream.write(header)
         for frame, readings in enumerate(recording.readings):
             values = readings.tolist()
             if recording.times is not None:
@@ -294,9 +284,7 @@ def _known_points(path: Path, known: Mapping[str, Scalar], n_sensors: int) -> di
             except ValueError:
                 found[key] = np.empty(0)
             if found[key].shape not in ((n_sensors, 2), (n_sensors, 3)):
-                raise FileError(
-                    f"{path}: {key} must be 2 or 3 numbers for each of {n_sensors} sensors"
-                )
+                raise FileError(f"{path}: {key} must be 2 or 3 numbers for each sensor")
     return found | ({"units": str(known[_UNITS])} if _UNITS in known else {})
 
 
@@ -363,7 +351,7 @@ def _without_frame_numbers(
         height, problem = int(heights[0]), "column 1 numbers frames of {} rows and {} columns"
         roles = dataclasses.replace(roles, non_sensors=tuple(sorted({0, *roles.non_sensors})))
     else:
-        height = lines_per_frame(np.delete(start, roles.non_sensors, axis=1))
+        height = refusals.lines_per_frame(np.delete(start, roles.non_sensors, axis=1))
         problem = "each line resembles the one {} lines before it, not the line before"
     n_columns = table.n_columns - len(roles.non_sensors)
     if not height or grid in ((1, n_columns), (height, n_columns)):
@@ -392,9 +380,9 @@ def _without_unlike(table: Table, roles: Roles, rows: Sequence[Sequence[str]]) -
 
 def _warn_of_commas(path: Path, sample: Sequence[str]) -> None:
     """Warn if all numbers with a comma could also have thousands separators."""
-    marks = ["commas", "points"] if any(map(_WHOLE.search, sample[1:])) else ["commas"]
-    for mark in marks:
-        found = [number for line in sample for number in _MARKED[mark].findall(line)]
+    marks = {"commas": ","} | ({"points": "."} if any(map(_WHOLE.search, sample[1:])) else {})
+    for mark, sign in marks.items():
+        found = [number for line in sample for number in _MARKED.findall(line) if sign in number]
         if found and all(map(_THOUSANDS.fullmatch, found)):
             shown = f"{found[0]} as {found[0].replace(',', '.')}"
             problem = f"{mark} are read as decimal {mark} ({shown})"
@@ -535,16 +523,12 @@ class MatrixRows:
         self, rows: NDArray[np.float64], readings: NDArray[np.float64], times: Any
     ) -> tuple[NDArray[np.float64], Any]:
         """Join lines, (t,) and (t, n_columns), to frames, (T, height * n_columns)."""
-        lines = np.column_stack(
-            [rows - self.first, np.zeros(len(rows)) if times is None else times]
-        )
-        lines = np.column_stack([lines, readings])
+        clock = np.zeros(len(rows)) if times is None else times
+        lines = np.column_stack([rows - self.first, clock, readings])
         if self._held is not None:
             lines = np.concatenate([self._held, lines])
-        if not len(lines):
-            return readings.reshape(0, self.height * readings.shape[1]), times
         starts = np.flatnonzero(np.diff(lines[:, 0]) <= 0) + 1
-        if lines[-1, 0] == self.height - 1:
+        if len(lines) and lines[-1, 0] == self.height - 1:
             starts = np.append(starts, len(lines))
         parts = np.split(lines, starts)
         self._held = parts.pop()
@@ -578,7 +562,8 @@ def find_matrix(
     steps = np.diff(rows) - 1
     if not (in_order and levels[0] in (0, 1) and np.mean(steps % len(levels) == 0) >= _CYCLIC):
         return None
-    height = 0 if named else lines_per_frame(np.delete(start, [column, *roles.non_sensors], axis=1))
+    others = np.delete(start, [column, *roles.non_sensors], axis=1)
+    height = 0 if named else refusals.lines_per_frame(others)
     if not named and height != len(levels):
         return None
     frames = (i for i, name in enumerate(names) if _FRAMES & {*words_of(name)})

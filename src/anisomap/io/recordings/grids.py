@@ -27,7 +27,7 @@ from anisomap.io.stream import Frame, ReadOptions, Stream, stack_frames
 _FRAME = re.compile(r'\s*+"?frame"?[\s:,;#"]*+\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?$', re.IGNORECASE)
 _ENTRY = re.compile(
     r'\s*+"?([A-Za-z](?:[A-Za-z_]| ++(?=[A-Za-z_]))*+)(?:"?[\s:,;=]++)++"?'
-    r'([-+]?\d[\d.,]*+)"?\s*+([A-Za-z]*+)'
+    r'([-+]?\d++(?:[.,]\d++)?+)"?\s*+([A-Za-z]*+)'
 )
 _CLOCK = re.compile(
     r'\s*+"?time[^\d"]*+"?[\s:,;]*+"?(\d{1,9}):(\d{1,9}):(\d++(?:[.,]\d++)?)', re.IGNORECASE
@@ -94,10 +94,8 @@ def _read_header(path: Path) -> _Header:
     table = _parsed(path, line, first, delimiter)
     rows, columns = rows or table.shape[0], columns or table.shape[1]
     if table.shape != (rows, columns):
-        raise FileError(
-            f"{path}: the first frame has {table.shape[0]} x {table.shape[1]} cells, "
-            f"but the header says {rows} x {columns}"
-        )
+        found = " x ".join(map(str, table.shape))
+        raise FileError(f"{path}: the first frame has {found} cells instead of {rows} x {columns}")
     inside = ~np.isnan(table.ravel())
     if not inside.any():
         raise FileError(f"{path}: all cells of the first frame are outside the sensor")
@@ -114,7 +112,7 @@ def _read_entries(path: Path, lines: Iterable[str]) -> dict[str, tuple[float, st
             key, unit = match[1].strip().lower().replace("_", " "), match[3].lower()
             stem, _, last = key.rpartition(" ")  # as in ROW_SPACING_MM
             key, unit = (stem, last) if stem and last in _LENGTHS and not unit else (key, unit)
-            entries[_SIZES.get(key, key)] = (_number(match[2]), unit)
+            entries[_SIZES.get(key, key)] = (float(match[2].replace(",", ".")), unit)
     raise FileError(f"{path}: no frame starts in the first {_MAX_HEADER} lines")
 
 
@@ -152,16 +150,14 @@ def _frames(path: Path, header: _Header, text: TextLines) -> Iterator[Frame]:
         whole = len(rows) == header.rows
         cells = _parsed(path, line, rows, header.delimiter) if whole else np.empty((0, 0))
         if cells.shape[1] != header.columns:
-            raise FileError(
-                f"{path}: the frame at line {line} has {len(rows)} rows of numbers; "
-                f"all frames must have {header.rows} rows of {header.columns} numbers"
-            )
+            size = f"{header.rows} rows of {header.columns} numbers"
+            raise FileError(f"{path}: the frame at line {line} must have {size}")
         yield Frame(cells.ravel()[header.inside], text.fraction(), clock)
 
 
 def _after(before: float, clock: re.Match[str]) -> float:
     """Return a time of day in seconds, on the next day if it is far before the preceding time."""
-    time = 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + _number(clock[3])
+    time = 3600.0 * int(clock[1]) + 60.0 * int(clock[2]) + float(clock[3].replace(",", "."))
     return time + _DAY_S * (time < before - _DAY_S / 2)
 
 
@@ -195,10 +191,3 @@ def _positions(header: _Header) -> tuple[NDArray[np.float64], str]:
     if down <= 0 or across <= 0 or unit not in _LENGTHS:
         return grid, UNITS
     return grid * [across, down], _LENGTHS[unit]
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text.rstrip(".,").replace(",", "."))
-    except ValueError:
-        return 0.0

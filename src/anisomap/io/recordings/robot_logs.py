@@ -160,14 +160,8 @@ def _stream(log: Path) -> Stream:
     metadata: dict[str, Scalar] = {"format": "YARP data.log", "stamps": n_stamps}
     if port := _port(log):
         metadata["port"] = port
-    return Stream(
-        log,
-        n_sensors,
-        _blocks(table, n_stamps),
-        metadata=metadata,
-        from_zero=True,
-        locate=functools.partial(line_of, table),
-    )
+    blocks, locate = _blocks(table, n_stamps), functools.partial(line_of, table)
+    return Stream(log, n_sensors, blocks, metadata=metadata, from_zero=True, locate=locate)
 
 
 def _blocks(table: Table, n_stamps: int) -> Iterator[Block]:
@@ -237,15 +231,9 @@ def open_cyskin(path: Path, options: ReadOptions) -> Iterator[Stream]:
     because = f"{len(layout.addresses)} taxels need {n_columns}"
     table = Table(path, None, n_columns, because, layout.first_line)
     first_rows(table, 1)  # report a damaged first frame
-    yield Stream(
-        path,
-        len(layout.addresses),
-        _cyskin_blocks(table, layout),
-        names=layout.addresses,
-        source=path.name,
-        metadata={"format": "CySkin"},
-        from_zero=True,
-    )
+    blocks, names = _cyskin_blocks(table, layout), layout.addresses
+    found = Stream(path, len(names), blocks, names=names, source=path.name, from_zero=True)
+    yield replace(found, metadata={"format": "CySkin"})
 
 
 def _find_addresses(start: Sequence[Sequence[str]]) -> _Addresses | None:

@@ -69,9 +69,8 @@ class Server(ThreadingHTTPServer):
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise InputError(
-                f"cannot show the page on {host}:{port}: {reason}; choose another --port"
-            ) from error
+            problem = f"cannot show the page on {host}:{port}: {reason}"
+            raise InputError(f"{problem}; choose another --port") from error
         self.token = "" if _is_loopback(host) else secrets.token_urlsafe(16)
         self.port = int(self.server_address[1])
         shown = f"[{host}]" if ":" in host else host

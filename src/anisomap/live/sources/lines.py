@@ -13,22 +13,10 @@ from numpy.typing import NDArray
 
 from anisomap.errors import InputError
 from anisomap.io.columns import sensors_of
+from anisomap.io.parsing import tables
 from anisomap.io.parsing.names import ROWS_LOOKED_AT
 from anisomap.io.parsing.refusals import lines_per_frame
 from anisomap.io.parsing.source import RefusedError, plain, quote, said_here
-from anisomap.io.parsing.tables import (
-    HeaderError,
-    LeftOut,
-    Numbered,
-    Table,
-    depth_of,
-    divides,
-    frame_lines,
-    is_apart,
-    is_short,
-    numbered_from,
-    parsed,
-)
 from anisomap.io.presets import grid_names, in_grid
 from anisomap.io.recordings.delimited_text import layout_of, stream_of
 from anisomap.io.stream import ReadOptions, doubt_of_rows
@@ -91,7 +79,7 @@ class LineParser:
             del lines[0]
             yield Notice(f"ignored a line without a frame: it has more than {MAX_LINE} bytes")
         texts = [plain(line.decode("utf-8-sig", "replace") + "\n") for line in lines]
-        if cut and lines and is_short([*self._last, *texts]):
+        if cut and lines and tables.is_short([*self._last, *texts]):
             yield Notice(f"ignored the last line, which is cut: {quote(texts.pop())}")
         self._last = [*self._last, *texts][-_COMPARED:]
         yield from self._read(texts)
@@ -114,7 +102,7 @@ class LineParser:
             yield Notice(f"lines of another kind begin, with {shown}: they are read anew")
         self._since = self._since if self._n_filled else time.monotonic()
         self._held += lines
-        self._n_filled += sum(not is_apart(line) for line in lines)
+        self._n_filled += sum(not tables.is_apart(line) for line in lines)
         waited = time.monotonic() - self._since
         if self._held and (ended or self._n_filled >= _LOOKED_AT or waited > LOOKED_AT_S):
             yield from self._found(waited, ended=ended)
@@ -151,12 +139,12 @@ class _Reader:
 
     def __init__(self, lines: Sequence[str], options: ReadOptions) -> None:
         self._table = table = layout_of(_WHERE, lines, {}, options)
-        self._pending = [*numbered_from(lines, table)]
-        self._left = left = LeftOut()
-        start = _parsed([*frame_lines(self._pending, table)], table, left)
+        self._pending = [*tables.numbered_from(lines, table)]
+        self._left = left = tables.LeftOut()
+        start = _parsed([*tables.frame_lines(self._pending, table)], table, left)
         if not len(start) or left.n_left > max(1, _MAX_BAD * left.n_lines):
             raise left.first or InputError("no line of numbers")
-        self._left, self._n_told, self._bad = LeftOut(), 0, ""
+        self._left, self._n_told, self._bad = tables.LeftOut(), 0, ""
         self._seen, self._n_seen = list[NDArray[np.floating]](), 0
         self._is_late, self._ended, self._has_grid = False, False, options.grid is not None
         self._unread, self.others = list[str](), list[str]()
@@ -223,32 +211,34 @@ class _Reader:
             self._unread = [] if len(rows) else [*self._unread, *(line for _, line in lines)]
             if left.first:
                 self._bad = quote(dict(lines)[left.first.line].strip())
-                is_header = isinstance(left.first, HeaderError) and not left.headers
+                is_header = isinstance(left.first, tables.HeaderError) and not left.headers
                 unread = [line for number, line in lines if number >= left.first.line]
-                if is_header or sum(not is_apart(s) for s in self._unread) >= _MOST_UNREAD:
+                if is_header or sum(not tables.is_apart(s) for s in self._unread) >= _MOST_UNREAD:
                     self.others = unread if is_header else self._unread
                 left.first = None
             yield rows, 0.0
 
-    def _whole_frames(self) -> list[Numbered]:
+    def _whole_frames(self) -> list[tables.Numbered]:
         """Take the lines of complete frames, each as one line."""
         lines, table, n_whole, depth = self._pending, self._table, 0, 0
         for i, (_, line) in enumerate(lines):
-            depth += depth_of(line) if table.nested else 0
-            ends = divides(line) if table.block and not table.nested else depth <= 0
+            depth += tables.depth_of(line) if table.nested else 0
+            ends = tables.divides(line) if table.block and not table.nested else depth <= 0
             if self._ended or ends:
                 n_whole = i + 1
         self._pending = lines[n_whole:]
-        return [*frame_lines(lines[:n_whole], table)]
+        return [*tables.frame_lines(lines[:n_whole], table)]
 
 
-def _parsed(lines: list[Numbered], table: Table, left: LeftOut) -> NDArray[np.float64]:
+def _parsed(
+    lines: list[tables.Numbered], table: tables.Table, left: tables.LeftOut
+) -> NDArray[np.float64]:
     """Return the rows, (t, n_columns), of lines before a header, without those that do not fit."""
     held = [np.empty((0, table.n_columns))]
     left.headers = table.n_columns < _LEAST_NAMES
     try:
-        held += parsed(lines, table, left) if lines else ()
-    except HeaderError as error:
+        held += tables.parsed(lines, table, left) if lines else ()
+    except tables.HeaderError as error:
         left.n_left, left.first = left.n_left + 1, error
     return np.concatenate(held)
 
