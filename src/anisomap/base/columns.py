@@ -282,6 +282,7 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
     found |= {i: f"a quantity in {names[i]}" for i in units}
     if len(table) >= _MIN_ROWS:
         found |= {i: "empty" for i in odd if np.isnan(table[:, i]).all()}
+        table = table.astype(np.float64)
         finite = np.isfinite(table)
         high = np.max(table, axis=0, initial=-np.inf, where=finite)
         moved = high > np.min(table, axis=0, initial=np.inf, where=finite)  # at rest, none
