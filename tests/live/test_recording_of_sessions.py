@@ -13,6 +13,7 @@ import anisomap
 from anisomap.errors import FileError
 from anisomap.live.batches import Batch
 from anisomap.live.recorder import MAX_WIDTH, JournalTail, JournalWriter, Recorder
+from anisomap.names import default_names
 
 READINGS = arrays.arrays(
     float, st.tuples(st.integers(1, 30), st.integers(2, 5)), elements=st.floats(width=64)
@@ -85,14 +86,15 @@ def frames(count, width, value=1.0):
     return Batch(np.full((count, width), value))
 
 
-def test_frames_of_another_width_are_left_out_and_told(recorder, tmp_path):
-    for value, width in enumerate([3, 3, 2, 3, 5, 5, 3]):
+def test_frames_of_another_width_begin_a_new_recording(recorder):
+    recorder.made.names = ("a", "b", "c")
+    for value, width in enumerate([3, 3, 5, 5, 5]):
         recorder.put(frames(1, width, value))
     recorder.close()
-    np.testing.assert_array_equal(
-        anisomap.read(tmp_path / "r.csv").readings, np.tile([[0.0], [1], [3], [6]], 3)
-    )
-    assert "ignored a frame of 2 readings instead of 3" in recorder.told
+    found = [anisomap.read(segment.path) for segment in recorder.begun]
+    assert [each.names for each in found] == [("a", "b", "c"), default_names(5)]
+    assert [each.readings[:, 0].tolist() for each in found] == [[0, 1], [2, 3, 4]]
+    assert recorder.told == ["5 readings instead of 3: a new recording begins"]
 
 
 def test_files_of_earlier_sessions_are_left_as_they_are(recorder, tmp_path):

@@ -1,6 +1,7 @@
 """Lines of text as frames."""
 
 import itertools
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -115,6 +116,40 @@ def test_a_board_that_starts_again_with_other_names_is_read_anew():
         assert len(readings(items)) == 120
         said = [item.text for item in items if isinstance(item, Notice)]
         assert any(text.startswith("lines of another kind begin") for text in said)
+
+
+@given(size=st.integers(1, 450), n_first=st.integers(30, 200))
+def test_other_names_apply_from_their_line_on_however_lines_are_cut(size, n_first):
+    drawn = np.random.default_rng(1).integers(0, 999, (400, 4)).tolist()
+    rows = [",".join(map(str, row)).encode() + b"\n" for row in drawn]
+    lines = [b"a,b,c,d\n", *rows[:n_first], b"w,x,y,z\n", *rows[n_first:]]
+    items = parsed(*(b"".join(lines[i : i + size]) for i in range(0, len(lines), size)))
+    begins = [i for i, item in enumerate(items) if isinstance(item, Names)]
+    assert [items[i].names for i in begins] == [tuple("abcd"), tuple("wxyz")]
+    assert readings(items[: begins[1]]) == drawn[:n_first]
+    assert readings(items[begins[1] :]) == drawn[n_first:]
+
+
+def test_comments_of_an_idle_board_take_no_memory():
+    parser = LineParser()
+    items = [*parser.feed(b"1,2,3\n" * 120)]
+    tracemalloc.start()
+    for _ in range(40):
+        items += parser.feed(b"# idle\n" * 400)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 19
+    tracemalloc.stop()
+    items += parser.feed(b"4,5,6\n")
+    assert readings(items) == [[1, 2, 3]] * 120 + [[4, 5, 6]]
+
+
+def test_a_frame_that_does_not_end_is_a_notice_and_later_lines_are_read():
+    parser = LineParser()
+    items = [*parser.feed(b"[[1, 2],\n[3, 4]]\n" * 60)]
+    for _ in range(3):
+        items += parser.feed(b"[" + b"1, " * (MAX_LINE // 4) + b"\n")
+    items += [*parser.end(), *parser.feed(b"5, 6\n" * 120)]
+    assert readings(items) == [[1, 2, 3, 4]] * 60 + [[5, 6]] * 120
+    assert any("do not end" in item.text for item in items if isinstance(item, Notice))
 
 
 def test_rows_of_a_matrix_that_rests_at_first_are_noticed():

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base.wording import printable
+from anisomap.base.wording import join_items, printable
 from anisomap.errors import FileError
 from anisomap.files.paths import check_target
 from anisomap.io.parsing.names import distinct_names
@@ -47,8 +47,7 @@ class JournalWriter:
     def __init__(self, path: Path, names: Sequence[str], source: str = "") -> None:
         check_target(path)
         header = header_text(names, source=source).encode("utf-8", "replace")
-        self.path = path
-        self._held = bytearray()
+        self.path, self._held = path, bytearray()
         try:
             self._file = path.open("xb", buffering=0)
         except FileExistsError:
@@ -95,15 +94,13 @@ class JournalTail:
 
     def __init__(self, path: Path, n_sensors: int, header_bytes: int) -> None:
         self._stream = path.open("rb")
-        self._width = n_sensors + 1
-        self._rest = b""
+        self._width, self._rest = n_sensors + 1, b""
         self._stream.seek(header_bytes)
 
     def read(self, n_bytes: int) -> tuple[NDArray[np.float64], bool]:
         """Read frames that were added since the last call. Returns readings (t, N), more."""
         content = self._stream.read(n_bytes)
-        text, _, rest = (self._rest + content).rpartition(b"\n")
-        self._rest = rest
+        text, _, self._rest = (self._rest + content).rpartition(b"\n")
         more = len(content) == n_bytes
         if not text:
             return np.empty((0, self._width - 1)), more
@@ -143,8 +140,7 @@ class Recorder:
     ) -> None:
         self.names: tuple[str, ...] = ()
         self.segments: list[Segment] = []
-        self.n_frames = 0
-        self.seconds = 0.0
+        self.n_frames, self.seconds = 0, 0.0
         self.arrived_at: float | None = None
         self._path, self._source, self._notify, self._begin = path, source, notify, begin
         self._writer: JournalWriter | None = None
@@ -172,17 +168,15 @@ class Recorder:
         if width > MAX_WIDTH:
             self._notify(f"ignored a frame of {width} readings; at most {MAX_WIDTH} are recorded")
             return
+        if self.width not in (0, width):
+            self._notify(f"{width} readings instead of {self.width}: a new recording begins")
+            self.close()
         with self._lock:
             now = time.monotonic()
             if self.arrived_at is not None and now - self.arrived_at > _SILENCE_S:
                 self._notify(f"{GAP} {now - self.arrived_at:.1f} s")
             self.arrived_at = now
-            if self._writer is None:
-                self._start(width)
-            if width == self.width:
-                self._record(batch, now)
-            else:
-                self._notify(f"ignored a frame of {width} readings instead of {self.width}")
+            self._record(self._writer or self._started(width), batch, now)
 
     def rename(self, names: tuple[str, ...]) -> None:
         """Name the sensors; if others are recorded, a new recording begins."""
@@ -211,7 +205,7 @@ class Recorder:
             found, self._recent = self._recent, []
         return np.concatenate(found) if found else None
 
-    def _start(self, width: int) -> None:
+    def _started(self, width: int) -> JournalWriter:
         number = len(self.segments) + 1
         path = self._path
         if number > 1:
@@ -219,17 +213,15 @@ class Recorder:
             path = next(path for path in later if not os.path.lexists(path))  # also broken links
         names = self.names if len(self.names) == width else default_names(width)
         names = distinct_names(path, [printable(name) for name in names])
-        self._writer = JournalWriter(path, names, self._source)
+        self._writer = writer = JournalWriter(path, names, self._source)
         self.n_frames, self.seconds, self._offset = 0, 0.0, None
         self._missing = np.zeros(width, dtype=bool)
         self._recent = []
-        self.segments.append(Segment(path, names, self._writer.header_bytes, number, self._source))
+        self.segments.append(Segment(path, names, writer.header_bytes, number, self._source))
         self._begin(self.segments[-1])
+        return writer
 
-    def _record(self, batch: Batch, now: float) -> None:
-        writer = self._writer
-        if writer is None:
-            return
+    def _record(self, writer: JournalWriter, batch: Batch, now: float) -> None:
         writer.add(self._times(batch, now), batch.readings)
         self.n_frames += len(batch.readings)
         self._recent.append(batch.readings)
@@ -237,11 +229,8 @@ class Recorder:
         if absent.any():
             fresh = np.flatnonzero(absent.any(axis=0) & ~self._missing)
             self._missing[fresh] = True
-            names = self.segments[-1].names
-            for i in fresh[:3]:
-                self._notify(f"{names[i]} sent no number; maps interpolate its readings")
-            if len(fresh) > 3:
-                self._notify(f"{len(fresh) - 3} more sent no number")
+            if names := [self.segments[-1].names[i] for i in fresh]:
+                self._notify(f"{join_items(names, 3)} sent no number; maps interpolate readings")
 
     def _times(self, batch: Batch, now: float) -> NDArray[np.float64]:
         """Return increasing times of frames in seconds since the first one."""

@@ -208,20 +208,20 @@ class SessionMaps:
         self._examined_frames = 0
         self._map_quickly()
 
-    def follow(self, n_frames: int) -> None:
+    def follow(self, segment: Segment | None, n_frames: int) -> None:
         """Request a checked map if one is due, and record the share of touched sensors."""
         now = self._clock()
         if not self.touched or now - self.touched[-1][0] >= _SHARE_S:
             self.touched = [*_thinned(self.touched), (now, self.share_touched)]
         few = n_frames < max(MIN_FRAMES, _GROWTH * self._examined_frames)
-        if self.examining or few or self._segment is None:
+        if self.examining or few or segment is None or segment is not self._segment:
             return
         # Half of the time is left to other processes.
         took = 0.0 if self.checked is None else self.checked.seconds
         if time.monotonic() - self._examined_at < took:
             return
         self.examining, self._examined_frames = True, n_frames
-        self._examiner.send(Task(self._segment, self.options, n_frames=n_frames))
+        self._examiner.send(Task(segment, self.options, n_frames=n_frames))
 
     def finish(self, n_frames: int, gives_up: Callable[[], bool]) -> Examination | None:
         """Make the map of all frames; see `LiveSession.finish`."""
@@ -570,6 +570,7 @@ class LiveSession:
         """Write buffered frames, prepare readings for the page, and request checked maps."""
         readable = 0
         while not self._stop.wait(TICK_S):
+            segment = self.segment  # before the number of its frames: another may begin
             try:
                 readable = self.recorder.flush()
             except AnisomapError as error:
@@ -581,7 +582,7 @@ class LiveSession:
                     self._first = recent[0]
                 self.levels = read_levels(recent, self._first, self.maps.quick)
             if not self.paused:
-                self.maps.follow(readable)
+                self.maps.follow(segment, readable)
             self.tick += 1
             self._announce()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+import itertools
 import re
 import time
 from collections.abc import Iterator, Sequence
@@ -35,7 +35,7 @@ _COMPARED = 50  # lines, with one that may be cut
 _MOST_UNREAD = 20  # successive lines that do not fit, before the layout is detected again
 _MAX_BAD = 0.1  # share of the lines for the detection of the layout
 _WHERE = Path("the stream")  # in errors of file readers
-_OPTIONS_OF_FILES = re.compile(r"[;,] (?:give|choose with) --(?:keep|axis)[^;]*")
+_OPTIONS_OF_FILES = re.compile(r"[;,] (?:(?:give|choose with) --(?:keep|axis)|to keep it)[^;]*")
 
 
 class LineParser:
@@ -93,6 +93,15 @@ class LineParser:
         yield from self._read([], ended=True)
 
     def _read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
+        try:
+            yield from self._items(lines, ended=ended)
+            while self._reader and self._reader.others:
+                yield from self._items([], ended=ended)
+        except Exception as error:  # a defect must not end the session
+            self._reader, self._held, self._n_filled = None, [], 0
+            yield Notice(f"ignored lines without a frame: {error!r}")
+
+    def _items(self, lines: Sequence[str], *, ended: bool) -> Iterator[Item]:
         if self._reader:
             yield from self._reader.read(lines, ended=ended)
             if not (lines := self._reader.others):
@@ -115,7 +124,7 @@ class LineParser:
             try:
                 with said_here() as said:
                     self._reader = _Reader(held[start:], self._options)
-            except (InputError, ValueError, csv.Error) as error:
+            except Exception as error:
                 problem = problem or str(error)
                 if isinstance(error, RefusedError):
                     break
@@ -140,6 +149,7 @@ class _Reader:
     def __init__(self, lines: Sequence[str], options: ReadOptions) -> None:
         self._table = table = layout_of(_WHERE, lines, {}, options)
         self._pending = [*tables.numbered_from(lines, table)]
+        self._numbers = itertools.count(len(lines) + 1)
         self._left = left = tables.LeftOut()
         start = _parsed([*tables.frame_lines(self._pending, table)], table, left)
         if not len(start) or left.n_left > max(1, _MAX_BAD * left.n_lines):
@@ -172,7 +182,7 @@ class _Reader:
     def read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
         """Parse lines; those that do not fit are left out with a notice."""
         self._ended = ended
-        self._pending += enumerate(lines, start=1)
+        self._pending += zip(self._numbers, lines, strict=False)
         with said_here() as said:
             block = next(self._blocks)
         yield from _notices(said)
@@ -208,7 +218,7 @@ class _Reader:
         while True:
             lines = self._whole_frames()
             rows = _parsed(lines, table, left)
-            self._unread = [] if len(rows) else [*self._unread, *(line for _, line in lines)]
+            self._unread = [] if len(rows) else [*self._unread[-_MAX_HELD:], *(s for _, s in lines)]
             if left.first:
                 self._bad = quote(dict(lines)[left.first.line].strip())
                 is_header = isinstance(left.first, tables.HeaderError) and not left.headers
