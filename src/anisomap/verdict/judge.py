@@ -83,7 +83,7 @@ class Estimate:
         return Estimate(*(scale * math.hypot(one, size) for one in ends))
 
 
-BY_CHANCE, BY_STEPS, BY_METRIC, BY_PATHS, BY_LENGTH = 0.95, 0.27, (0.63, 1.0), 0.8, 1.5
+BY_CHANCE, BY_STEPS, BY_METRIC, BY_PATHS, BY_LENGTH = 0.84, 0.27, (0.63, 1.0), 0.8, 1.5
 """Expected error per RMS difference of resamples; per difference from the map of steps, and from
 the map of the metric, in 2 and in 3 dimensions; per difference from the map of path lengths, if
 sensors are unevenly spaced; and factor if contacts are stated to be elongated.
