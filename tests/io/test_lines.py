@@ -246,6 +246,8 @@ def test_rows_without_a_name_are_told_by_their_changes(put, numbered: bool) -> N
 def test_numbers_for_missing_readings(put, mark: float, n_marks: int) -> None:
     slow = np.round(np.abs(SLOW)) + 5.0
     slow[:, :2] += slow.max()
+    if mark > 0:  # pressed sensors may be saturated
+        slow[::20, :2] = slow[2::20, :2] = 5
     slow[1::20, :n_marks] = mark
     slow[:, 4] = mark  # not connected
     path = put("run.csv", "".join(joined(row) + "\n" for row in slow.tolist()))
@@ -254,6 +256,9 @@ def test_numbers_for_missing_readings(put, mark: float, n_marks: int) -> None:
         at_rest = np.maximum(slow - np.median(slow), -1)  # of a board that clips there
         path = put("rest.csv", "".join(joined(row) + "\n" for row in at_rest.tolist()))
         np.testing.assert_array_equal(read_alike(path).readings, at_rest)
+        saturated = np.where(slow > np.quantile(slow[:, :2], 0.98), abs(mark), slow)
+        path = put("saturated.csv", "".join(joined(row) + "\n" for row in saturated.tolist()))
+        np.testing.assert_array_equal(read_alike(path).readings, saturated)
         return
     with pytest.warns(AnisomapWarning, match=r"missing reading in s0.* \(first in frame 1\)"):
         found = io.read(path)

@@ -75,6 +75,8 @@ _MIN_WRITTEN, _MOST_SAME = 20, 0.05  # rows; share of lines that were sent twice
 _MARKS = {*(float(s * (10**k - 1)) for k in (4, 5, 6) for s in (-1, 1)), -1.0, -99.0, -999.0}
 _MARKS |= {2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1, 2.0**32 - 1, -(2.0**15), -(2.0**31)}
 _MIN_SPAN, _MIN_FALLS, _MOST_MISSING = 8, 3, 0.1
+_MIN_USED, _MOST_USED, _MAX_HELD = 8, 0.9, 1 << 16  # sensors; share of them; readings
+_MAX_FRAMES = 1 << 20
 _POINT = re.compile(r"[.,]\d")
 _RATE = re.compile(
     r"(?i)\b(fs|(?:sampl\w*|scan\w*|frame|acquisition|update)?[ _-]*(?:rate|freq\w*))\b\W*"
@@ -103,7 +105,10 @@ def open_recording(path: Path, options: ReadOptions) -> Iterator[Stream]:
     table = layout_of(path, sample, known, options)
     start = first_rows(table, ROWS_LOOKED_AT)
     read = functools.partial(read_blocks, table)
-    yield stream_of(table, sample, start, read, options, known=known, metadata=metadata)
+    again = functools.partial(first_rows, table, _MAX_FRAMES)
+    yield stream_of(
+        table, sample, start, read, options, again=again, known=known, metadata=metadata
+    )
 
 
 def layout_of(
@@ -135,6 +140,7 @@ def stream_of(
     read: Callable[..., Iterator[tuple[NDArray[np.float64], float]]],
     options: ReadOptions,
     *,
+    again: Callable[[], NDArray[np.float64]] | None = None,
     known: Mapping[str, Scalar] = MappingProxyType({}),
     metadata: Mapping[str, Scalar] = MappingProxyType({}),
 ) -> Stream:
@@ -142,6 +148,7 @@ def stream_of(
 
     start: The first rows, (t, n_columns).
     read: Yields rows, and the fraction of the file read so far.
+    again: Reads more of the first rows of a file.
     known: Entries of a file of anisomap.
     """
     path = table.path
@@ -179,6 +186,10 @@ def stream_of(
     lines = table.block is None and matrix is None
     read = functools.partial(read, repeats=(roles.time is None or in_rows) and lines)
     facts |= _known_points(path, known, n_sensors)
+    present = None
+    if not known and not matrix:
+        frames = again and (lambda: np.delete(again(), roles.non_sensors, axis=1))
+        present = _Present(path, facts["names"], frames)
     rate_hz = known.get("rate_hz")
     if not known and roles.time is None:
         n_above = next((i for i, line in enumerate(sample) if not table.is_skipped(line)), 0)
@@ -186,7 +197,7 @@ def stream_of(
     return Stream(
         path,
         n_sensors,
-        _blocks(table, roles, matrix, read, None if known else _Present(path, facts["names"])),
+        _blocks(table, roles, matrix, read, present),
         rate_hz=float(rate_hz) if isinstance(rate_hz, int | float) else None,
         source=str(known.get("source", path.name)),
         metadata=metadata if known else _column_metadata(table, roles),
@@ -443,65 +454,94 @@ class _Fresh:
 class _Present:
     """Replaces numbers for missing readings by NaN, with a warning for each such number.
 
-    These are limits of number types and repeated nines, with a gap to all other readings; and -1 if
-    no other reading is negative, and pressed sensors have it for one frame.
+    again: Reads the first frames of a file, (t, N), which decide for all; None for lines that are
+        being received, of which the last ones decide.
     """
 
     path: Path
     names: Sequence[str]
-    _low: float = np.inf
-    _high: float = -np.inf
-    _seen: Any = False  # whether sensors had other readings: some may not be connected
+    again: Callable[[], NDArray[np.float64]] | None
     _last: Any = None
-    _n_falls: Any = 0
     _n_frames: int = 0
+    _limits: dict[float, Any] = dataclasses.field(default_factory=dict)
     _said: tuple[float, ...] = ()
 
     def __call__(self, readings: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the next readings, (t, N)."""
         if not readings.size:
             return readings
-        low, high = (float(end.reduce(readings, axis=None)) for end in (np.fmin, np.fmax))
-        marks = [end for end in (low, high) if end in _MARKS or 3.4e38 < abs(end) < 3.41e38]
-        others: Any = np.isfinite(readings)
-        if marks:
-            others &= ~np.isin(readings, [*_MARKS, *marks])
-            low = float(np.min(readings, initial=np.inf, where=others))
-            high = float(np.max(readings, initial=-np.inf, where=others))
-        self._low, self._high = min(self._low, low), max(self._high, high)
-        self._seen = self._seen | others.any(axis=0)
-        found = readings
-        for mark in marks:
-            places = (readings == mark) & self._seen
-            few = 0 < np.count_nonzero(places) < _MOST_MISSING * places.size
-            if few and self._stands_apart(mark, readings):
-                found = np.where(places, np.nan, found)
-                if mark not in self._said:
-                    self._say(mark, places)
-        self._last, self._n_frames = readings[-2:], self._n_frames + len(readings)
-        return found
-
-    def _stands_apart(self, mark: float, readings: NDArray[np.float64]) -> bool:
-        span = self._high - self._low
-        if mark != -1 or span < _MIN_SPAN or self._low < 0:
-            beyond = mark > self._high + span or mark < min(self._low - span / 8, 0)
-            return mark != -1 and span > 0 and beyond
+        n_held = 1 if self.again else 1 + _MAX_HELD // readings.shape[1]
         rows = readings if self._last is None else np.vstack([self._last, readings])
-        low, marked = rows[1:-1] <= self._low + span / 50, rows[1:-1] == mark
-        pressed = np.minimum(rows[:-2], rows[2:]) - self._low > span / np.reshape([4, 2], (2, 1, 1))
-        # Few that are pressed before and after fall to other low readings.
-        self._n_falls += np.sum(pressed * (1 * marked - (low & ~marked)), axis=(1, 2))
-        return bool((self._n_falls >= _MIN_FALLS).any())
+        self._last, found = rows[-n_held:], readings
+        for mark in {float(end.reduce(readings, axis=None)) for end in (np.fmin, np.fmax)}:
+            if mark not in _MARKS and not 3.4e38 < abs(mark) < 3.41e38:
+                continue
+            if not self.again or mark not in self._limits:
+                self._limits[mark] = _limits_of(self.again() if self.again else rows, mark)
+            if self._limits[mark] is not None:
+                places = _is_missing(rows, mark, self._limits[mark])[-len(readings) :]
+                found = np.where(places, np.nan, found)
+                if mark not in self._said and places.any():
+                    self._say(mark, places)
+        self._n_frames += len(readings)
+        return found
 
     def _say(self, mark: float, places: NDArray[np.bool_]) -> None:
         self._said = (*self._said, mark)
         names = self.names or default_names(places.shape[1])
         found = [quote_if_needed(names[i]) for i in np.flatnonzero(places.any(axis=0)).tolist()]
         frame = self._n_frames + int(np.argmax(places.any(axis=1)))
-        listed = f"{join_items(found, 3)} (first in frame {frame})"
-        apart = f"since the others are from {self._low:g} to {self._high:g}"
+        listed = f"{join_items(found, 3)} (first in frame {frame}), and perhaps later"
         keep = "to keep it, make the recording in Python: anisomap.Recording(pandas.read_csv(path))"
-        warn(self.path, f"{mark:g} stands for a missing reading in {listed}, {apart}; {keep}")
+        warn(self.path, f"{mark:g} stands for a missing reading in {listed}; {keep}")
+
+
+def _is_missing(rows: NDArray[np.float64], mark: float, limits: Any) -> NDArray[np.bool_]:
+    """Return where a number, in frames (t, N), stands for a missing reading.
+
+    It fills nearly all sensors, or is between two frames with readings up to the limits, (N,),
+    which are -inf for sensors that are not connected.
+    """
+    marked, used = rows == mark, limits > -np.inf
+    calm = np.pad((rows <= limits) & ~marked, ((1, 1), (0, 0)), mode="reflect")
+    n_used = int(np.count_nonzero(used))
+    full = (n_used >= _MIN_USED) & ((marked & used).sum(axis=1) >= _MOST_USED * n_used)
+    missing: NDArray[np.bool_] = marked & ((calm[:-2] & calm[2:]) | (full[:, None] & used))
+    return missing
+
+
+def _limits_of(rows: NDArray[np.float64], mark: float) -> NDArray[np.float64] | None:
+    """Return limits of sensors at rest, (N,), if a number stands for missing readings; else None.
+
+    It has a gap to all other readings, and most runs of it are missing readings; and -1 is one if
+    no other reading is negative, and pressed sensors have it for one frame.
+    """
+    others, marked = np.isfinite(rows) & ~np.isin(rows, [*_MARKS, mark]), rows == mark
+    low = np.min(rows, axis=0, initial=np.inf, where=others)
+    high = np.max(rows, axis=0, initial=-np.inf, where=others)
+    used = low <= high  # some may not be connected
+    least, most = np.min(low, initial=np.inf), np.max(high, initial=-np.inf)
+    span = most - least
+    marked &= used
+    if not span > 0 or np.count_nonzero(marked) >= _MOST_MISSING * marked.size:
+        return None
+    below = mark < min(least - span / 8, 0) and least >= -span / 8
+    if mark == -1:
+        below = span >= _MIN_SPAN and least >= 0
+        at_rest = ~marked[1:-1] & (rows[1:-1] <= least + span / 50)
+        pressed = np.minimum(rows[:-2], rows[2:]) - least
+        falls = (np.sum((pressed > span / n) * (1 * marked[1:-1] - at_rest)) for n in (4, 2))
+        # Few that are pressed before and after fall to other low readings.
+        below = below and max(falls) >= _MIN_FALLS
+    if not below and not mark > most + span:
+        return None
+    spans = np.where(used, high - low, 0)
+    middle = low + np.maximum(spans, np.median(spans[used])) / 2
+    limits: NDArray[np.float64] = np.where(used, np.inf if below else middle, -np.inf)
+    missing = _is_missing(rows, mark, limits)
+    runs = (np.diff(1 * each, axis=0, prepend=0) > 0 for each in (missing, marked & ~missing))
+    n_missing, n_others = map(np.count_nonzero, runs)
+    return limits if n_missing > n_others else None
 
 
 @dataclasses.dataclass
