@@ -76,7 +76,7 @@ _MARKS = {*(float(s * (10**k - 1)) for k in (4, 5, 6) for s in (-1, 1)), -1.0, -
 _MARKS |= {2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1, 2.0**32 - 1, -(2.0**15), -(2.0**31)}
 _MIN_SPAN, _MIN_FALLS, _MOST_MISSING = 8, 3, 0.1
 _MIN_USED, _MOST_USED, _MAX_HELD = 8, 0.9, 1 << 16  # sensors; share of them; readings
-_MAX_FRAMES = 1 << 20
+_MAX_FRAMES, _LEAST_CALM = 1 << 20, 0.25  # share of runs between readings at rest
 _POINT = re.compile(r"[.,]\d")
 _RATE = re.compile(
     r"(?i)\b(fs|(?:sampl\w*|scan\w*|frame|acquisition|update)?[ _-]*(?:rate|freq\w*))\b\W*"
@@ -513,8 +513,9 @@ def _is_missing(rows: NDArray[np.float64], mark: float, limits: Any) -> NDArray[
 def _limits_of(rows: NDArray[np.float64], mark: float) -> NDArray[np.float64] | None:
     """Return limits of sensors at rest, (N,), if a number stands for missing readings; else None.
 
-    It has a gap to all other readings, and most runs of it are missing readings; and -1 is one if
-    no other reading is negative, and pressed sensors have it for one frame.
+    It has a gap to all other readings, and many runs of it are one frame between readings in the
+    lower half of the range of the sensor, unlike saturation; and -1 is one if no other reading is
+    negative, and pressed sensors have it for one frame.
     """
     others, marked = np.isfinite(rows) & ~np.isin(rows, [*_MARKS, mark]), rows == mark
     low = np.min(rows, axis=0, initial=np.inf, where=others)
@@ -537,11 +538,11 @@ def _limits_of(rows: NDArray[np.float64], mark: float) -> NDArray[np.float64] | 
         return None
     spans = np.where(used, high - low, 0)
     middle = low + np.maximum(spans, np.median(spans[used])) / 2
-    limits: NDArray[np.float64] = np.where(used, np.inf if below else middle, -np.inf)
-    missing = _is_missing(rows, mark, limits)
+    missing = _is_missing(rows, mark, np.where(used, np.inf if below else middle, -np.inf))
     runs = (np.diff(1 * each, axis=0, prepend=0) > 0 for each in (missing, marked & ~missing))
     n_missing, n_others = map(np.count_nonzero, runs)
-    return limits if n_missing > n_others else None
+    few = n_missing < _LEAST_CALM * (n_missing + n_others)
+    return None if few else np.where(used, np.inf, -np.inf)
 
 
 @dataclasses.dataclass
