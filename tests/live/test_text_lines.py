@@ -130,6 +130,19 @@ def test_other_names_apply_from_their_line_on_however_lines_are_cut(size, n_firs
     assert readings(items[begins[1] :]) == drawn[n_first:]
 
 
+@pytest.mark.parametrize("size", [1, 2, 50])
+def test_numbers_for_missing_readings_are_missing_however_lines_are_cut(size):
+    sent = np.random.default_rng(1).integers(0, 999, (300, 12)).astype(float)
+    sent[[249, 251], 3] = 0  # at rest
+    sent[[150, 220]], sent[250, 3] = 65535, 65535
+    lines = [",".join(f"{x:g}" for x in row).encode() + b"\n" for row in sent]
+    items = parsed(*(b"".join(lines[i : i + size]) for i in range(0, len(lines), size)))
+    np.testing.assert_array_equal(readings(items), np.where(sent == 65535, np.nan, sent))
+    (said,) = (item.text for item in items if isinstance(item, Notice))
+    assert said.startswith("65535 stands for a missing reading in s0")
+    assert "pandas" not in said
+
+
 def test_comments_of_an_idle_board_take_no_memory():
     parser = LineParser()
     items = [*parser.feed(b"1,2,3\n" * 120)]
