@@ -279,6 +279,31 @@ def test_short_lines_and_hexadecimal_digits_are_bad_lines(put, cell: str) -> Non
         io.read(put("many.csv", "\n".join(many)))
 
 
+PRESSES = np.sin(np.arange(2000)[:, None] / 9 - np.arange(9)).clip(0)
+ROWS_OF_PRESSES = [joined(row) for row in (900 * PRESSES).astype(int).tolist()]
+TOP = joined([f"s{i}" for i in range(9)])
+
+
+@pytest.mark.filterwarnings("ignore::anisomap.errors.AnisomapWarning")
+@pytest.mark.parametrize("above", ["", TOP, "[boot; v1.2]", joined(["0.0"] * 9), "messages"])
+def test_messages_and_lines_at_the_start_are_no_frames(put, above: str) -> None:
+    lines, n_more = [above, *ROWS_OF_PRESSES], above.startswith("0")
+    if above in ("", TOP, "messages"):
+        for i in range(2000, 0, -100):
+            lines.insert(i + 1, "heartbeat ok")
+    found = io.read(put("run.csv", "\n".join(lines[above == "messages" :]) + "\n")).readings
+    assert found.shape[1] == 9
+    assert found.shape[0] == 2000 + 20 * (above in ("", TOP, "messages")) + n_more
+
+
+def test_a_row_that_begins_with_inf_divides_no_frame(put) -> None:
+    rows = np.random.default_rng(0).normal(size=(40, 4, 4)).round(3).astype(str)
+    rows[20, 2, 0] = "inf"
+    text = "\n\n".join("\n".join(joined(row, " ") for row in frame) for frame in rows.tolist())
+    with pytest.warns(AnisomapWarning, match="divide frames of 4 rows"):
+        assert np.isinf(io.read(put("run.txt", text + "\n")).readings[20, 8])
+
+
 def test_own_files_keep_numbers_for_missing_readings_and_gaps_are_no_rest(tmp_path) -> None:
     readings = np.round(np.abs(SLOW)) + 5.0
     readings[1::20, 1] = 65535

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import operator
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -44,7 +45,7 @@ from anisomap.io.parsing.tables import (
 _MIN_COUNTED = 4
 _MAX_PREAMBLE, _MIN_UNIFORM_ROWS = 100, 5
 _MIN_TEXT_CELLS, _MOST_DECIMAL = 2, 0.75  # of two hexadecimal digits, 0.4 are decimal
-_MIN_BLOCKS, _MIN_NESTED, _TALL = 3, 2, 128
+_MIN_BLOCKS, _MIN_NESTED, _TALL, _MOST_ROWS = 3, 2, 128, 64  # between messages
 # A cell of two numbers with a comma may be one number with a decimal comma.
 _MIN_LISTED = 3
 _MAX_UNIT = 12  # characters
@@ -54,7 +55,7 @@ _CONTINUOUS = 0.4
 _DIGITS = re.compile(r"\d+")
 _RULE = re.compile(r"[+|\s]*(?:=[=+|\s]+|-{2}[-+|\s]+)")
 _MAX_REMARK = 8  # words
-_MAX_APART, _MIN_COMPARED, _MIN_PLACES = 3, 20, 9
+_MIN_COMPARED, _MIN_PLACES = 20, 9
 _COMMENT, _MARKED = re.compile(r"\s*(?:#|%|//)+\s*"), re.compile(r"\s*(?:%|//)")
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 
@@ -353,8 +354,7 @@ def _are_units(row: Sequence[str], following: Sequence[str], delimiter: str | No
 def _count_apart(body: Sequence[Sequence[str]]) -> int:
     """Count rows below a header that are not readings: numbers, places or gains of the sensors.
 
-    Such rows count, are two rows of a lattice, or have decimals while all others have none, or vice
-    versa.
+    Such rows count, are two rows of a lattice, or have fractions above whole numbers.
     """
     if len(body) < _MIN_COMPARED or len(body[0]) < _MIN_PLACES:
         return 0
@@ -362,15 +362,12 @@ def _count_apart(body: Sequence[Sequence[str]]) -> int:
         return 1
     places = [[parse_number(c) if is_number(c) else np.nan for c in row] for row in body[:2]]
     steps = [{*np.diff(sorted({*row})).round(6).tolist()} for row in places]
-    cells = {*zip(*places, strict=False)}
-    if [len(each) for each in steps] == [1, 1] and len(cells) == len(body[0]):
+    cells, fewest = {*zip(*places, strict=False)}, min(len({*row}) for row in places)
+    regular = [len(each) for each in steps] == [1, 1] and fewest > len(places)
+    if regular and len(cells) == len(body[0]):
         return 2
-    marked = [sum("." in cell or "," in cell for cell in row) for row in body]
-    for n in range(1, _MAX_APART + 1):
-        top, rest, width = marked[:n], marked[n:], len(body[0])
-        if (2 * min(top) >= width and not any(rest)) or (not any(top) and min(rest) == width):
-            return n
-    return 0
+    whole = not any(set(cell) & set(".,") for row in body[1:] for cell in row)
+    return int(whole and bool(np.mean(np.mod(places[0], 1) > 0) > 0.5))
 
 
 def _are_numbers_of(header: Sequence[str], row: Sequence[str]) -> bool:
@@ -419,23 +416,34 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
     groups = [lines for apart, lines in parts if not apart]
     between = [lines for apart, lines in parts[1:-1] if apart]
     # Words or empty lines alone are no evidence: a board may send occasional messages.
-    marked = all(len({*map(is_apart, lines)}) > 1 for lines in between)
+    titles = [" ".join(line for line in lines if not is_apart(line)) for lines in between]
+    above = parts[0][1] if parts and parts[0][0] else []
+    numbers = [int(digits[0]) for digits in map(_DIGITS.search, titles) if digits]
+    rising = len(numbers) == len(titles) and all(map(operator.lt, numbers, numbers[1:]))
+    marked = not all(map(is_apart, above)) and (
+        rising or all(len({*map(is_apart, lines)}) > 1 for lines in between)
+    )
     whole = groups[:-1] if len(groups) > _MIN_BLOCKS else groups  # the last one may be cut short
     heights = set(map(len, whole))
     if len(whole) < _MIN_BLOCKS or len(heights) != 1 or not 1 < (height := heights.pop()) <= _TALL:
         return None
+    messages = any(titles) and not marked
     for delimiter in DELIMITERS:
         lines = itertools.chain.from_iterable(whole)
         rows = [_split(_unframed(s) if delimiter == "|" else s, delimiter) for s in lines]
         widths, empty = set(map(len, rows)), empty_columns(rows)
         numeric = all(is_number(cell, delimiter) for row in rows for cell in row)
         n_columns = min(widths) - empty
-        named = (_split(line, delimiter) for lines in between for line in lines)
-        names = any({len(s)} == widths and not any(map(is_number, s)) for s in named)  # once more
+        headers = [] if delimiter is None else above[-1:]
+        named = (_split(line, delimiter) for line in itertools.chain(headers, *between))
+        names = any({len(s)} == widths and not any(map(is_number, s)) for s in named)
         if len(widths) == 1 and numeric and n_columns > 1 and not names:
             first = next(i for i, line in enumerate(sample) if not divides(line))
             cells = [[parse_number(c, delimiter) for c in row[:n_columns]] for row in rows]
             blocks = np.array(cells).reshape(len(whole), height, n_columns)
+            doubt = "" if marked else _doubt_of(blocks)
+            if messages and (doubt or height > _MOST_ROWS):
+                return None
             return Table(
                 path,
                 delimiter,
@@ -444,7 +452,7 @@ def _find_blocks(path: Path, sample: Sequence[str]) -> Table | None:
                 first + 1,
                 clean=functools.partial(_clean, delimiter, 0) if delimiter != "," else None,
                 block=(height, n_columns),
-                doubt="" if marked else _doubt_of(blocks),
+                doubt=doubt,
             )
     return None
 

@@ -89,11 +89,11 @@ _KINDS = (
     (0.9, r"^(?:[01]{4,16}[\s,;]*){3,}$", "holds binary digits, as in {}: write decimal numbers"),
     (0.5, r"(?<![\w.])(?:\d{21,}|(?:\d+\.){4,}\d)",
      "has no separators between numbers, as in {}: write commas"),
-    (0.0, r"^\s*Columns? \d+ (?:through|and|to) \d+:?$|^\s*[\d.]+e[-+]\d+ \*$"
-     r"|^\[[^\[\]]*;[^\[\]]*\]$",
+    (0.0, r"^\s*Columns 1 (?:through|and) \d+:?$|^\s*[\d.]+e[-+]\d+ \*$"
+     r"|^\[[-+.\de]+[\s,][^\[\];]*;(?:[^\[\];]*;){64,}[^\[\]]*\]$",
      "holds an array as MATLAB prints it, as in {}: use writematrix(array, 'run.csv')"),
     (0.0, r"^#(?:group|datatype),", "is a table of InfluxDB, with {}: pivot it by _time, _field"),
-    (0.0, r"^\s*\{$", "has objects of JSON on several lines, as in {}: write each on one line"),
+    (0.02, r"^\s*\{$", "has objects of JSON on several lines, as in {}: write each on one line"),
 )
 # fmt: on
 _ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")

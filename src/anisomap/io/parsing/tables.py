@@ -410,7 +410,7 @@ def divides(line: str) -> bool:
     """Return whether a line divides frames of rows: it is apart, or a word or number is first."""
     word = _WORD.match(line)
     single = not _ROW.search(line)
-    return single or is_apart(line) or (word is not None and not is_missing(word[0]))
+    return single or is_apart(line) or (word is not None and not is_number(word[0]))
 
 
 def parse_row(
