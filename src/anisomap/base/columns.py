@@ -278,10 +278,10 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
             others = {i: f"not in {usual}" for i, u in enumerate(marked) if u not in ("", usual)}
             found = others | found
     odd = odd_names(names)
-    units = [i for i in odd if len(names[i]) > 1 and _UNITS.fullmatch(names[i].strip())]
-    found |= {i: f"a quantity in {names[i]}" for i in units}
+    units = {i: names[i].strip() for i in odd if len(names[i]) > 1}
+    found |= {i: f"a quantity in {unit}" for i, unit in units.items() if _UNITS.fullmatch(unit)}
     if len(table) >= _MIN_ROWS:
-        found |= {i: "empty" for i in odd if np.isnan(table[:, i]).all()}
+        found |= {i: "mostly empty" for i in odd if np.isnan(table[:, i]).mean() > _MAX_SHARE}
         table = table.astype(np.float64)
         finite = np.isfinite(table)
         high = np.max(table, axis=0, initial=-np.inf, where=finite)
