@@ -109,8 +109,10 @@ def choose(path: Path, contents: Sequence[Content], select: str, noun: str) -> C
             raise FileError(f"{path}: {problem} {select!r}; it holds {_listed(named or contents)}")
         return named[0]
     if len(usable) > 1:
-        problem = f"holds {len(usable)} possible recordings ({noun}s): {_listed(usable)}"
-        raise ChoiceError(f"{path} {problem}; choose one with --select")
+        raise ChoiceError(
+            f"{path} holds {len(usable)} possible recordings ({noun}s): {_listed(usable)}; "
+            "choose one with --select"
+        )
     if not usable:
         listing = f"; it holds {_listed(contents)}" if contents else ""
         raise FileError(f"{path} holds no {noun} that can be a recording{listing}")
