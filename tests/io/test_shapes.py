@@ -73,7 +73,7 @@ BESIDE = {
     "n": (np.arange(N_FRAMES) % 256, "a counter"),
     "phase": (np.arange(N_FRAMES) // 150, "a label"),
     "\u00b0C": (24 + RNG.normal(size=N_FRAMES), "a quantity in \u00b0C"),
-    "Event": (np.full(N_FRAMES, ""), "empty"),
+    "Event": (np.full(N_FRAMES, ""), "mostly empty"),
     "F": (PRESSED.sum(axis=1), "the sum of all others"),
 }
 
