@@ -29,6 +29,8 @@ MAX_READING = 1e30
 """Maximum magnitude of a reading; greater readings are missing. Sums of readings are then finite in
 float32, and sums of squares in float64."""
 
+_FRAMES_AT_ONCE = 4096  # compared at a time; most recordings differ in the first ones
+
 MissingPolicy: TypeAlias = Literal["error", "drop-frames", "interpolate"]
 """Handling of missing readings: see `Recording.complete`."""
 
@@ -209,6 +211,15 @@ class Recording(Immutable):
         for array in found:
             array.setflags(write=False)
         return found
+
+    @cached_property
+    def on_off(self) -> bool:
+        """Whether every sensor takes at most two values; requires complete readings."""
+        lowest, highest = self.extremes
+        return all(
+            bool(((part == lowest) | (part == highest)).all())
+            for part in np.array_split(self.readings, max(1, self.n_frames // _FRAMES_AT_ONCE))
+        )
 
     @cached_property
     def signals(self) -> Signals:

@@ -156,7 +156,9 @@ class Method:
         """Return the key of the similarity for a recording."""
         if self.contact_similarity is None:
             return self.similarity
-        single = all(shows_single_contacts(part.readings) for part in recording.parts)
+        single = all(
+            part.on_off and shows_single_contacts(part.readings) for part in recording.parts
+        )
         return self.contact_similarity if single else self.similarity
 
 

@@ -26,16 +26,6 @@ _SAMPLED_CONTACTS = 600  # regularly sampled; the standard error of their share 
 _CONTACTS_AT_ONCE = 4096  # contacts multiplied at a time; bounds the memory
 
 
-def is_on_off(readings: ArrayLike) -> bool:
-    """Return whether every sensor takes at most two values, for shape (T, N)."""
-    values = np.asarray(readings)
-    lowest, highest = values.min(axis=0), values.max(axis=0)
-    return all(
-        bool(((part == lowest) | (part == highest)).all())
-        for part in np.array_split(values, max(1, len(values) // _CONTACTS_AT_ONCE))
-    )
-
-
 def distinct_contacts(readings: ArrayLike) -> NDArray[np.bool_]:
     """Find the distinct sets of at least two sensors that were active simultaneously.
 
@@ -62,9 +52,7 @@ def _contacts_and_frames(values: NDArray[np.generic]) -> tuple[NDArray[np.bool_]
 
 
 def shows_single_contacts(readings: ArrayLike) -> bool:
-    """Return whether readings are on or off and show one contact at a time. readings (T, N)."""
-    if not is_on_off(readings):
-        return False
+    """Return whether readings that are on or off show one contact at a time. readings (T, N)."""
     contacts = distinct_contacts(readings)
     if len(contacts) < MIN_CONTACTS:
         return False
