@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import special_ortho_group
 
 import anisomap
-from anisomap import SensorMap, align
+from anisomap import SensorMap, align, evaluation, reconstruct
 from anisomap.errors import InputError
 from anisomap.map_verdict import Verdict
 from anisomap.notes import Note
@@ -26,11 +26,12 @@ from anisomap.placement import (
     parse_length,
     place,
     scaled_to_spacing,
+    spacing_on_skin,
     surface_normals,
     to_taxels,
 )
 from anisomap.placement.placing import errors_of_sensors, headline, judgement
-from anisomap.simulation import find_body, solids
+from anisomap.simulation import find_body, simulate, solids
 from anisomap.simulation.bodies import covered
 from skins import flat_map, lattice
 
@@ -281,6 +282,18 @@ def test_scaling_and_reflection_keep_the_shape(seed, dimensions, spacing):
     again = mirrored(image)
     assert (image.mirrored, again.mirrored) == (True, False)
     np.testing.assert_array_equal(again.positions, before.positions)
+
+
+@pytest.mark.parametrize(("body", "dimensions"), [("hexagon", 2), ("sphere", 3)])
+def test_lengths_are_right_despite_the_errors_of_a_map(body, dimensions):
+    ratios = []
+    for seed in range(3):
+        skin = simulate(body, "rubbing", n_frames=2000, seed=seed)
+        spacing = evaluation.median_spacing(skin.positions)
+        scaled = scaled_to_spacing(reconstruct(skin, dimensions=dimensions), spacing, "mm")
+        assert spacing_on_skin(scaled) == pytest.approx(spacing)
+        ratios.append(align(scaled.positions, skin.positions).scale)
+    assert np.median(ratios) == pytest.approx(1, abs=0.2)
 
 
 def test_components_share_a_scale_and_have_separate_normals():

@@ -10,6 +10,7 @@ from .frames import mirrored as mirrored
 from .frames import pad_to_3d as pad_to_3d
 from .frames import parse_length as parse_length
 from .frames import scaled_to_spacing as scaled_to_spacing
+from .frames import spacing_on_skin as spacing_on_skin
 from .frames import surface_normals as surface_normals
 from .frames import to_taxels as to_taxels
 from .modules import NO_MODULE as NO_MODULE

@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anisomap.base import METRES
+from anisomap.base import DEFAULT_METHOD, METRES
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
 from anisomap.numerics.surfaces import estimate_normals
 from anisomap.sensor_map import MAX_COORDINATE, UNSCALED, SensorMap
 
 _MIN_LENGTH = 1e-150  # its square is a normal floating-point number
+# Median ratios, by dimensions, of lengths on good maps to true lengths if the median distance to
+# the nearest sensor is the true one: python -m benchmarks.placing.scale refits them.
+_TOO_LONG = {2: 1.2, 3: 1.06}
 _LENGTH = re.compile(r"\s*+([0-9.eE+-]++)\s*+([a-z\u00b5]++)\s*+")
 
 
@@ -67,6 +70,18 @@ def median_spacing(sensor_map: SensorMap) -> float:
     return spacing
 
 
+def spacing_on_skin(sensor_map: SensorMap) -> float:
+    """Estimate the median distance to the nearest sensor on the skin, in the unit of the map.
+
+    Errors of positions shorten this distance on a map by the default method, which is corrected
+    unless modules or anchors gave the scale.
+    """
+    by_spacing = "spacing" in sensor_map.provenance or sensor_map.units not in METRES
+    corrected = sensor_map.method == DEFAULT_METHOD and by_spacing
+    factor = _TOO_LONG.get(sensor_map.dimensions, 1.0) if corrected else 1.0
+    return factor * median_spacing(sensor_map)
+
+
 def rescaled(sensor_map: SensorMap, factor: float, units: str) -> SensorMap:
     """Multiply all lengths of a map by a factor."""
     scaled = _stretched(sensor_map, np.full(sensor_map.dimensions, factor))
@@ -112,8 +127,9 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
     Returns
     -------
     SensorMap
-        The map in `units`, with the scale factor in its provenance. Errors of nearest-neighbour
-        distances on the map cause an error of the scale.
+        The map in `units`, with the scale factor in its provenance. Errors of positions shorten
+        the distance to the nearest sensor on a map. The scale of a map by the default method is
+        corrected for this; 80 % of its lengths are within 15 % of the true lengths.
 
     Raises
     ------
@@ -125,7 +141,7 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
         raise InputError(f"spacing must be a positive number, got {spacing:g}")
     if sensor_map.anchored:
         raise InputError("the map is in the frame of the robot, so it must not be scaled")
-    factor = spacing / median_spacing(sensor_map)
+    factor = spacing / spacing_on_skin(sensor_map)
     largest = float(np.nanmax(np.abs(sensor_map.positions))) * factor
     # Squares in the computation of distances must neither underflow nor overflow.
     if not (spacing > _MIN_LENGTH and factor > 0 and largest < MAX_COORDINATE):

@@ -24,10 +24,10 @@ from anisomap.numerics.surfaces import Mesh, Points
 from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
     length_shown,
-    median_spacing,
     mirrored,
     rescaled,
     scaled_to_spacing,
+    spacing_on_skin,
 )
 from anisomap.placement.handedness import DECISIVE, Known, Tied
 from anisomap.placement.modules import MIN_PADS, NO_MODULE, Modules, fit_modules
@@ -370,8 +370,8 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
         )
     if unit == "mm" and "spacing" in sensor_map.provenance and not sensor_map.anchored:
         told.append(
-            f"Millimetres assume a median distance of {spacing:.3g} mm to the nearest sensor. "
-            "Errors shorten this distance on a map: lengths are usually up to 30% too long."
+            f"Millimetres assume a median distance of {spacing:.3g} mm to the nearest sensor; "
+            "lengths on the map are then usually within 15% of the true lengths."
         )
     return tuple(told)
 
@@ -389,7 +389,7 @@ def spacing_shown(sensor_map: SensorMap) -> tuple[float, str]:
     if sensor_map.units in METRES:
         unit, factor = length_shown(sensor_map.units, "")
         try:
-            return factor * median_spacing(sensor_map), unit
+            return factor * spacing_on_skin(sensor_map), unit
         except InputError:  # a single sensor, or coincident sensors
             pass
     return 1.0, "spacings"

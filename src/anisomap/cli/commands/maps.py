@@ -57,7 +57,7 @@ def convert(
     n_placed, spacing = int(placed.placed.sum()), None
     if placed.units in METRES:
         with suppress(InputError):  # a single sensor has no spacing
-            spacing = placement.median_spacing(placed)
+            spacing = placement.spacing_on_skin(placed)
     written = outputs.write(placed)
     facts = {"sensors placed": f"{n_placed} of {placed.n_sensors}"}
     if spacing is not None:

@@ -166,7 +166,7 @@ def _print(printer: Printer, found: placement.Placement, name: str) -> None:
     placed, spacing = found.map, np.nan
     errors = placed.errors[np.isfinite(placed.errors)] * _MM
     with suppress(InputError):  # a single sensor, or coincident sensors
-        spacing = placement.median_spacing(placed) * _MM * METRES[placed.units]
+        spacing = placement.spacing_on_skin(placed) * _MM * METRES[placed.units]
     facts = {
         "sensors placed": f"{int(placed.placed.sum())} of {placed.n_sensors}",
         "median spacing": f"{number(spacing)} mm",
