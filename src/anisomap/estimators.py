@@ -219,10 +219,7 @@ class SensorMapper(ClassNamePrefixFeaturesOutMixin, TransformerMixin, BaseEstima
             ensure_min_features=2 if reset else 0,
         )
         if self.missing == "error" and np.isnan(readings).any():
-            raise InputError(
-                "Input X contains NaN, missing readings; SensorMapper(missing='interpolate') fills "
-                "them in, and missing='drop-frames' leaves their frames out"
-            )
+            raise InputError("Input X contains NaN; set missing='interpolate' or 'drop-frames'")
         return np.asarray(readings)
 
     def _added(self, X: ArrayLike, *, first: bool) -> Recording:
@@ -376,10 +373,7 @@ class Anisomap(BaseEstimator):
             ensure_min_samples=2,
         )
         if not precomputed and np.isnan(values).any():
-            raise InputError(
-                "Input X contains NaN; points must be complete, and NaN stands for unknown pairs "
-                "with metric='precomputed'"
-            )
+            raise InputError("Input X contains NaN; only metric='precomputed' allows it")
         if precomputed:
             largest = np.abs(values).max(where=np.isfinite(values), initial=0)
             rounding = _ROUNDING * largest

@@ -86,10 +86,7 @@ def take_events(
     places = np.round((at - at.min()) / bin_width, _EDGE_DECIMALS)
     n_bins = np.floor(places.max()) + 1
     if n_bins > max(_MIN_REFUSED_BINS, _MAX_BINS_PER_EVENT * len(at)):
-        raise InputError(
-            f"{len(at)} events from {at.min():g} to {at.max():g} s would fill {n_bins:g} bins of "
-            f"{bin_width:g} s; choose wider bins, or correct the times"
-        )
+        raise InputError(f"{len(at)} events would fill {n_bins:g} bins; choose wider bins")
     readings = np.zeros((int(n_bins), len(listed)), np.float32)
     np.add.at(readings, (places.astype(np.intp), columns), 1)
     return Taken(readings, listed, rate_hz=1 / bin_width)
@@ -102,9 +99,7 @@ def as_array(values: Any) -> NDArray[Any]:
     try:
         array = np.asarray(values)
     except ValueError:
-        raise InputError(
-            "readings must be of shape (T, N) (frames x sensors), got rows of different lengths"
-        ) from None
+        raise InputError("readings must be (T, N), got rows of different lengths") from None
     if array.dtype.kind not in "biuf":
         raise InputError(f"readings must be real numbers, got {array.dtype}")
     return array
@@ -233,10 +228,7 @@ def times_of(times: ArrayLike, n_frames: int) -> NDArray[np.float64]:
     steps = np.diff(values)
     if (steps <= 0).any():
         frame = int(np.argmax(steps <= 0)) + 1
-        raise InputError(
-            f"times must increase, but frame {frame} ({values[frame]:g} s) "
-            f"is not after frame {frame - 1} ({values[frame - 1]:g} s)"
-        )
+        raise InputError(f"times must increase, but do not at frame {frame}, {values[frame]:g} s")
     return values
 
 

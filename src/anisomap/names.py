@@ -30,9 +30,7 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
         raise InputError(f"each sensor needs a name: sensors: {n_sensors:,}, names: {len(names):,}")
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
-        raise InputError(
-            f"names must be unique; names of several sensors: {join_items(repeated, 5)}"
-        )
+        raise InputError(f"names must be unique; of several sensors: {join_items(repeated, 5)}")
 
 
 def find_sensors(

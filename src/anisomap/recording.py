@@ -368,10 +368,7 @@ class Recording(Immutable):
         silent = absent.all(axis=0)
         whole = ~absent[:, ~silent].any(axis=1)
         if not whole.any():
-            raise InputError(
-                "every frame misses a reading, so dropping such frames leaves none; interpolate "
-                "instead, or drop the sensors with missing readings"
-            )
+            raise InputError("every frame misses a reading; interpolate, or drop the worst sensors")
         kept = np.where(absent, 0, self.readings)[whole]
         times = None if self.times is None else self.times[whole]
         return replace(self, readings=kept, times=times)
@@ -392,9 +389,7 @@ def _check_facts(texts: Mapping[str, object], metadata: Mapping[str, object]) ->
             raise InputError(f"{name} must be text, got {text!r}")
     for key, value in metadata.items():
         if not isinstance(key, str) or not isinstance(value, Scalar | np.generic):
-            raise InputError(
-                f"metadata must be text, numbers or booleans by name, got {key!r}: {value!r}"
-            )
+            raise InputError(f"metadata must be text, numbers or booleans, got {key!r}: {value!r}")
 
 
 _MAX_RATE_RATIO = 1.02  # of runs that count as having equal frame rates; chosen by hand

@@ -148,13 +148,9 @@ class SensorMap(Immutable):
         sizes = (("component", component.size), ("health", len(health)), ("errors", errors.size))
         for name, size in sizes:
             if size != n_sensors:
-                raise InputError(
-                    f"{name} must have {n_sensors} entries, one per sensor, got {size}"
-                )
+                raise InputError(f"{name} must have {n_sensors} entries, got {size}")
         if ((component == UNPLACED) == placed).any():
-            raise InputError(
-                "sensors must have a finite position if and only if their component is not -1"
-            )
+            raise InputError("positions must be finite exactly where components are not -1")
         self.set_fields(
             positions=positions,
             names=names,
@@ -328,13 +324,9 @@ def axis_names(dimensions: int) -> tuple[str, ...]:
 
 def _as_covariances(covariances: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
     array = np.array(covariances, dtype=np.float64)
-    n_sensors, dimensions = shape
-    if array.shape != (n_sensors, dimensions, dimensions):
-        raise InputError(
-            f"covariances must have shape ({n_sensors}, {dimensions}, {dimensions}), got "
-            f"{array.shape}"
-        )
-    lower = np.tril_indices(dimensions, -1)
+    if array.shape != (*shape, shape[1]):
+        raise InputError(f"covariances must have shape {(*shape, shape[1])}, got {array.shape}")
+    lower = np.tril_indices(shape[1], -1)
     array[:, lower[0], lower[1]] = array[:, lower[1], lower[0]]  # exactly symmetric
     return array
 

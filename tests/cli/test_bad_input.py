@@ -49,7 +49,7 @@ place map.csv                                             | --spacing
 place map.csv --anchor s1=0,0 --anchor s2=0,0,0           | all anchors must have two coordinates
 place map.csv --anchors anchors.csv --mesh map.csv        | map.csv
 place map.csv --mesh part.stl --mesh-units feet           | --mesh-units must be one of m, dm
-place map.csv --module-size 5                             | modules need the positions of their pads
+place map.csv --module-size 5                             | modules need --module-layout
 live                                                      | give either a source or --simulate BODY
 live skin.csv --drop s1-s99 --headless                    | there is no sensor 's1-s99'
 live tcp://127.0.0.1                                      | needs a port
@@ -61,7 +61,7 @@ live skin.csv --coached --headless                        | --coached is for a s
 
 NEEDS_PHYSICS = """
 live --simulate nobody                             | there is no body
-simulate teapot                                    | no body or file 'teapot'; choose from sphere
+simulate teapot                                    | no body or file 'teapot'; bodies: sphere
 simulate sphere --frames 0                         | frames
 simulate layout.csv --sensors 5                    | --sensors is for named bodies
 simulate part.obj                                  | part.obj is a mesh

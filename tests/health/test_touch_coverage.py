@@ -139,7 +139,7 @@ def test_runs_that_lack_sensors_add_up_by_name():
     kept = np.isin(np.arange(25), order[:20])
     assert np.array_equal(found.contacts[kept], together.contacts[kept])
     assert (found.contacts[~kept] <= together.contacts[~kept]).all()
-    with pytest.raises(InputError, match="sensors of the map"):
+    with pytest.raises(InputError, match="must have the same sensors"):
         touch_coverage(sensor_map, whole.select(order[:20]))
 
 

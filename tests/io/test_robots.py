@@ -233,7 +233,7 @@ def test_a_map_without_scale_or_with_two_components_is_rejected(
     assert io.needs_scale(path)
     with pytest.raises(InputError, match="needs positions in metres"):
         io.write(SensorMap(np.eye(3)), path)
-    with pytest.raises(InputError, match=r"the map has 2, .*split"):
+    with pytest.raises(InputError, match=r"the map has 2; .*split"):
         io.write(SensorMap(np.eye(3), component=[0, 0, 1], units="m"), path)
     assert list(tmp_path.iterdir()) == []
 

@@ -153,7 +153,7 @@ def test_readings_that_are_true_or_false_are_mapped(asarray):
 
 @pytest.mark.parametrize("n_frames", [0, 1, 2, 3])
 def test_too_few_frames_are_refused(asarray, n_frames):
-    with pytest.raises(InputError, match="at least 4 frames"):
+    with pytest.raises(InputError, match="requires 4 frames"):
         reconstruct_on_device(asarray(flat_skin().readings[600 : 600 + n_frames]), dimensions=2)
 
 

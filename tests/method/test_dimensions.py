@@ -104,7 +104,7 @@ def test_other_ways_to_a_map_choose_as_well():
 
 @pytest.mark.parametrize("dimensions", [0, -1, 1.5, "flat", None])
 def test_other_numbers_are_refused(dimensions):
-    with pytest.raises(InputError, match="dimensions must be a whole number of at least 1, or aut"):
+    with pytest.raises(InputError, match="dimensions must be auto or a whole number from 1 on"):
         reconstruct(flat_skin(), dimensions=dimensions)
 
 

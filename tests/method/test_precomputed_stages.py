@@ -95,13 +95,13 @@ SIMILARITY = np.corrcoef(flat_skin().readings.T)
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({}, "exactly one of similarity, dissimilarity, metric"),
+        ({}, "give one of similarity, dissimilarity, metric"),
         ({"similarity": np.eye(5), "metric": np.eye(5)}, "got similarity, metric"),
         ({"similarity": np.full((10, 10), 2.0)}, r"in \[-1, 1\]"),
         ({"similarity": 5 * np.eye(10) + 1}, r"in \[-1, 1\]"),
-        ({"similarity": [["a", "b"], ["c", "d"]]}, "must be a matrix of real numbers"),
-        ({"similarity": [[1, 2], [3]]}, "must be a matrix of real numbers"),
-        ({"similarity": np.eye(3) * 1j}, "must be a matrix of real numbers"),
+        ({"similarity": [["a", "b"], ["c", "d"]]}, "must be \\(N, N\\) real numbers"),
+        ({"similarity": [[1, 2], [3]]}, "must be \\(N, N\\) real numbers"),
+        ({"similarity": np.eye(3) * 1j}, "must be \\(N, N\\) real numbers"),
         ({"similarity": np.zeros((3, 4))}, r"must be of shape \(N, N\), got \(3, 4\)"),
         (
             {"similarity": np.eye(9), "start": np.zeros((9, 2)), "dimensions": 3},

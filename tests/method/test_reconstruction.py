@@ -190,7 +190,7 @@ HOLED[7, 3] = np.nan
     [
         ({"recording": Recording(np.zeros((9, 5)))}, "got 0 of 5"),
         ({"recording": Recording(np.eye(9)[:, :2])}, "got 2 of 2"),
-        ({"recording": UNTOUCHED}, "at least 3 related sensors"),
+        ({"recording": UNTOUCHED}, "of 3 needed"),
         ({"method": "pca"}, "choose from covariogram"),
         ({"recording": "skin.csv"}, r"read the file first: anisomap.read\('skin.csv'\)"),
         ({"recording": SensorMap(np.eye(9)[:, :3])}, "a recording is required here, got a map"),
@@ -241,7 +241,7 @@ def test_registries_are_consistent():
 def test_frames_that_cannot_place_sensors_are_said_at_once(method, dimensions):
     readings = np.random.default_rng(0).random((6, 9))
     least = 4 if dimensions == "auto" else dimensions + 2
-    with pytest.raises(InputError, match=f"at least {least} frames, got {least - 1}"):
+    with pytest.raises(InputError, match=f"requires {least} frames, got {least - 1}"):
         anisomap.reconstruct(readings[: least - 1], method, dimensions)
 
 

@@ -127,5 +127,5 @@ def test_inputs_are_not_modified(size, order, dtype):
 @pytest.mark.parametrize("unit", [1e-30, 1e20, 1e39])
 def test_matrices_outside_float32_are_rejected(always_float32, what, unit):
     distances = squareform(pdist(np.random.default_rng(0).uniform(size=(20, 2))))
-    with pytest.raises(InputError, match=f"the largest {what} is .*single precision"):
+    with pytest.raises(InputError, match=f"the {what} .* exceeds single precision"):
         reconstruct_from(method="r-anisomap", **{what: unit * distances})

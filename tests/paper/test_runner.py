@@ -113,7 +113,7 @@ def test_invalid_arguments_raise_errors(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileError, match="cannot create the folder"):
         compute(tmp_path / "file")
-    with pytest.raises(InputError, match="2 values for 1 columns"):
+    with pytest.raises(InputError, match="2 of 1 values"):
         Table("wrong", "", {"value": "a number"}, ((1, 2),))
 
 

@@ -192,7 +192,7 @@ def test_a_template_gives_the_offsets_by_the_numbers_of_its_pads():
     assert modules.units == "mm"
     with pytest.raises(InputError, match="pad 1 of module 0-2, but the template has no such pad"):
         modules_by_size(["s0", "s1"], 3, first=0).with_template(template)
-    with pytest.raises(InputError, match="must have a unit of length"):
+    with pytest.raises(InputError, match="the template needs a unit"):
         modules.with_template(SensorMap([[1.0, 2]]))
 
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Group, Parameter, Token
 from cyclopts.validators import Number
@@ -18,7 +18,6 @@ from cyclopts.validators import Number
 import anisomap
 from anisomap import io, placement
 from anisomap.base import METRES
-from anisomap.base.wording import printable
 from anisomap.cli.console import Printer, print_warning
 from anisomap.errors import FileError, InputError
 
@@ -276,20 +275,16 @@ Exclude: TypeAlias = Annotated[
 ]
 
 
-def _read_dimensions(_: object, tokens: Sequence[Token]) -> int | Literal["auto"]:
+def _read_dimensions(_: object, tokens: Sequence[Token]) -> Any:
     """Read a number of dimensions: the default conversion rounds fractions."""
-    from anisomap.method.dimensions import AUTO, check_dimensions
+    from anisomap.method.dimensions import check_dimensions
 
     text = tokens[0].value
+    dimensions: Any = int(text) if text.removeprefix("-").isdecimal() else text
     try:
-        dimensions = text if text == AUTO else int(text)
         check_dimensions(dimensions)
     except InputError as error:
         raise ValueError(str(error)) from None
-    except ValueError:
-        raise ValueError(
-            f"dimensions must be a whole number of at least 1, or auto, got {printable(text)}"
-        ) from None
     return dimensions
 
 

@@ -108,9 +108,7 @@ def mantel(
     if not (np.isfinite(one).all() and np.isfinite(other).all()):
         raise InputError("distances must be finite; leave out sensors without a position")
     if len(one) != len(other):
-        raise InputError(
-            f"both configurations must have the same sensors, got {len(one)} and {len(other)}"
-        )
+        raise InputError(f"the numbers of sensors must be equal, got {len(one)} and {len(other)}")
     if len(one) < MIN_SENSORS_COMPARED:
         raise InputError(f"Mantel r requires at least 4 sensors, got {len(one)}")
     a, b = _standardised(one), _standardised(other)
@@ -131,9 +129,7 @@ def _distances(configuration: SensorMap | ArrayLike) -> NDArray[np.float64]:
         return _between(configuration.positions)
     values = np.asarray(configuration, dtype=np.float64)
     if values.ndim != 2:
-        raise InputError(
-            f"expected positions of shape (N, k) or distances of shape (N, N), got {values.shape}"
-        )
+        raise InputError(f"expected positions (N, k) or distances (N, N), got {values.shape}")
     if values.shape[0] != values.shape[1] or values.shape[0] < MIN_SENSORS_COMPARED:
         return _between(values)
     if not np.allclose(values, values.T) or np.diag(values).any():

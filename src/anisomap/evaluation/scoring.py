@@ -71,12 +71,10 @@ class Alignment(Similarity):
             If the points have more dimensions than the alignment.
         """
         points = np.array(positions, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] > len(self.translation):
-            raise InputError(
-                f"positions must have shape (n, k) with k at most {len(self.translation)}, got "
-                f"{points.shape}"
-            )
-        return super().apply(padded(points, len(self.translation)))
+        most = len(self.translation)
+        if points.ndim != 2 or points.shape[1] > most:
+            raise InputError(f"positions may have at most {most} columns, got {points.shape}")
+        return super().apply(padded(points, most))
 
 
 def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
@@ -105,9 +103,7 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
     """
     x, y = np.array(positions, dtype=np.float64), np.array(truth, dtype=np.float64)
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y):
-        raise InputError(
-            f"positions and truth must have the same number of rows, got {x.shape} and {y.shape}"
-        )
+        raise InputError(f"positions and truth must have equal rows, got {x.shape} and {y.shape}")
     dimensions = max(x.shape[1], y.shape[1])
     x, y = padded(x, dimensions), padded(y, dimensions)
     for points, where in ((x, "on the map"), (y, "in truth")):
@@ -160,10 +156,7 @@ def check_distances(positions: NDArray[np.float64], what: str) -> None:
     if square == 0:
         raise InputError(f"all sensors of {what} have the same position; there is no distance")
     if not np.isfinite(square):
-        raise InputError(
-            f"the distances of {what} are out of the range of floating-point numbers; "
-            "check its units"
-        )
+        raise InputError(f"the distances of {what} are out of range; check its units")
 
 
 def neighbour_agreement(
@@ -359,10 +352,7 @@ def score(
     """
     notes: tuple[str, ...] = ()
     if not isinstance(sensor_map, SensorMap):
-        raise InputError(
-            f"score takes a SensorMap first, got {type(sensor_map).__name__}; mantel and align "
-            "compare arrays"
-        )
+        raise InputError("score takes a SensorMap first; mantel and align compare arrays")
     if isinstance(truth, Recording):
         if truth.positions is None:
             raise InputError("the recording has no true positions to score against")
@@ -376,10 +366,7 @@ def score(
     else:
         true_positions = np.asarray(truth, dtype=np.float64)
     if true_positions.ndim != 2 or len(true_positions) != sensor_map.n_sensors:
-        raise InputError(
-            f"true positions must have {sensor_map.n_sensors} rows, one per sensor, got shape "
-            f"{true_positions.shape}"
-        )
+        raise InputError(f"true positions need {len(sensor_map)} rows, got {true_positions.shape}")
     included = np.ones(sensor_map.n_sensors, dtype=bool)
     included[sensor_map.indices(exclude)] = False
     known = np.asarray(np.isfinite(true_positions).all(axis=1))

@@ -27,10 +27,7 @@ def read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     with opened(_read, path) as parts:
         vertices, faces = next(parts)
     if faces.size and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise FileError(
-            f"{path} is damaged: a face has vertex {faces.max()}, but the mesh has {len(vertices)} "
-            "vertices, numbered from 0"
-        )
+        raise FileError(f"{path} is damaged: a face has vertex {faces.max()} of {len(vertices)}")
     return vertices, faces
 
 
@@ -55,7 +52,4 @@ def _check_triangles(path: Path, content: bytes) -> None:
     start = content[:_STL_START].lstrip().lower()
     is_text = start.startswith(b"solid") and b"facet" in content.lower()
     if not is_text and len(content) != _STL_HEADER + _STL_TRIANGLE * n_triangles:
-        raise FileError(
-            f"{path} is damaged: it announces {n_triangles} triangles, but its size is "
-            f"{len(content)} bytes"
-        )
+        raise FileError(f"{path} is damaged: {n_triangles} triangles in {len(content)} bytes")

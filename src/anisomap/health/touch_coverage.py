@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
+from anisomap.base.immutable import Immutable
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.names import match_names
@@ -41,7 +42,7 @@ _MIN_NEED = 0.5  # sensors; for less, a stroke is not worthwhile
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Place(Immutable):
     """A place on the map to touch.
 
     Attributes
@@ -70,7 +71,7 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class TouchCoverage:
+class TouchCoverage(Immutable):
     """Contacts of the N sensors of a map.
 
     Attributes
@@ -126,10 +127,7 @@ def touch_coverage(
     """
     joined = join_runs(recording)
     if set(joined.names) != set(sensor_map.names):
-        raise InputError(
-            f"the recording must have the sensors of the map, {sensor_map.n_sensors} sensors from "
-            f"{sensor_map.names[0]!r} on"
-        )
+        raise InputError(f"recording and map must have the same sensors, {joined.names[0]!r} ...")
     pairs = neighbouring_sensors(sensor_map.positions, sensor_map.component)
     contacts = np.zeros(sensor_map.n_sensors, dtype=np.intp)
     together = np.zeros(len(pairs), dtype=np.intp)
@@ -142,8 +140,6 @@ def touch_coverage(
         together[inside] += count_joint_contacts(touched, column[pairs[inside]])
     need = needed_evidence(contacts, pairs, together, sensor_map.component)
     places = next_places(sensor_map.positions, need, component=sensor_map.component)
-    for array in (contacts, pairs, together, need):
-        array.setflags(write=False)
     return TouchCoverage(contacts, pairs, together, need, places)
 
 
@@ -226,7 +222,6 @@ def next_places(
         needy = needy[np.argsort(-lacking[needy], kind="stable")]
         lacking[around] = 0
         centre = points[needy].mean(axis=0)
-        centre.setflags(write=False)
         places.append(
             Place(
                 sensors=tuple(needy.tolist()),

@@ -206,9 +206,7 @@ def scale(metric: Array, dimensions: int, options: mds.SmacofOptions) -> mds.Sca
     xp = array_namespace(metric)
     n_points = metric.shape[0]
     if not np.isfinite(float(xp.max(metric))):
-        raise InputError(
-            "some sensors are unrelated; with a regularisation above 0, they are placed far apart"
-        )
+        raise InputError("some sensors are unrelated; use a regularisation above 0")
     if n_points < MIN_DEVICE_POINTS:
         return mds.smacof(to_numpy(metric), dimensions=dimensions, options=options)
 
@@ -390,8 +388,5 @@ def _varying(readings: Array) -> NDArray[np.bool_]:
     lowest, highest = (to_numpy(bound(readings, axis=0)) for bound in (xp.min, xp.max))
     faulty = np.flatnonzero(~(np.isfinite(lowest) & np.isfinite(highest)))
     if faulty.size:
-        raise InputError(
-            f"a reading of sensor {faulty[0]} is not a finite number; replace missing readings "
-            "before a map is made on a device"
-        )
+        raise InputError(f"sensor {faulty[0]} lacks a finite reading; replace missing readings")
     return np.asarray(highest > lowest)

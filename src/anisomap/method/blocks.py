@@ -51,10 +51,8 @@ def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
     """Compute a similarity, a key of `SUMMED`, of a Dask array of finite readings (T, N)."""
     if similarity not in SUMMED:
         raise InputError(
-            f"{similarity} needs all readings at once, so not those of a Dask array: choose "
-            "r-anisomap, spearman-anisomap, co-activation-anisomap, i-anisomap, "
-            "information-distance or isomap, or sample frames that fit in memory, as by "
-            "readings[::10].compute()"
+            f"{similarity} needs all readings at once: choose another method, such as r-anisomap, "
+            "or sample frames that fit in memory, as by readings[::10].compute()"
         )
     blocks = _frames_of(readings)
     check_pair_memory(readings.shape[1], refined=False)
@@ -85,10 +83,7 @@ def _frames_of(readings: Any) -> list[Any]:
             "frame.to_dask_array(), or array.data of xarray"
         )
     if readings.ndim != 2 or readings.dtype.kind not in "biuf" or not readings.shape[1] > 0:
-        raise InputError(
-            "a Dask array must hold real numbers, (frames, sensors), got "
-            f"{readings.dtype} and shape {readings.shape}"
-        )
+        raise InputError(f"a Dask array must hold (T, N) real numbers, got {readings!r}")
     return list(readings.rechunk({1: -1}).to_delayed().ravel())
 
 
@@ -111,10 +106,7 @@ def _sum_of(block: NDArray[Any], summand: Summand) -> Sum | None:
         return None
     faulty = np.flatnonzero(~(np.abs(block.astype(np.float64)) <= MAX_READING).all(axis=0))
     if faulty.size:
-        raise InputError(
-            f"a reading of sensor {faulty[0]} is NaN or above {MAX_READING:g}; leave out such "
-            "frames or sensors of a Dask array, or fill them, as by dask.array.nan_to_num"
-        )
+        raise InputError(f"sensor {faulty[0]} is NaN or above {MAX_READING:g}; fill it first")
     found: Sum = summand(block)
     return found
 

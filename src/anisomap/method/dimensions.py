@@ -203,9 +203,7 @@ def _is_curve(positions: Reals, line: Reals) -> bool:
 def check_dimensions(dimensions: Dimensions) -> None:
     """Check a number of dimensions."""
     if dimensions != AUTO and (not isinstance(dimensions, int | np.integer) or dimensions < 1):
-        raise InputError(
-            f"dimensions must be a whole number of at least 1, or auto, got {dimensions!r}"
-        )
+        raise InputError(f"dimensions must be auto or a whole number from 1 on, got {dimensions!r}")
 
 
 def check_size(
@@ -219,19 +217,9 @@ def check_size(
     """
     check_dimensions(dimensions)
     if n_sensors < least:
-        raise InputError(
-            f"a map requires at least {least} sensors that vary and are not dropped, "
-            f"got {n_sensors} of {total}"
-        )
+        raise InputError(f"a map needs {least} sensors that vary, got {n_sensors} of {total}")
     if dimensions != AUTO and dimensions > n_sensors:
-        raise InputError(
-            f"a map in {dimensions} dimensions requires at least {dimensions} sensors, "
-            f"got {n_sensors}"
-        )
+        raise InputError(f"a map in {dimensions} dimensions needs as many sensors, got {n_sensors}")
     k = PLANE if dimensions == AUTO else dimensions
-    held = k if n_frames is None else max(0, n_frames - 2)
-    if held < k:
-        raise InputError(
-            f"a map in {k} dimensions requires at least {k + 2} frames, got {n_frames}, whose "
-            f"correlations place sensors in at most {held} dimension{'s' * (held != 1)}"
-        )
+    if n_frames is not None and n_frames < k + 2:
+        raise InputError(f"a map in {k} dimensions requires {k + 2} frames, got {n_frames}")

@@ -335,10 +335,7 @@ def _map(task: Task, stack_level: int) -> tuple[SensorMap, _Placed]:
     placed = configuration, choice, _ = _placed(task)
     least, largest = task.options.min_sensors, np.count_nonzero(configuration.component == 0)
     if largest < least:
-        raise InputError(
-            f"a map requires at least {least} related sensors, but the largest group has "
-            f"{largest}; check that the skin was touched during the recording"
-        )
+        raise InputError(f"only {largest} sensors are related, of {least} needed; touch more skin")
     names = [task.names[i] for i in np.flatnonzero(task.mapped).tolist()]
     facts = parameters_of(task.method, task.options, len(names))
     facts |= {} if choice.given else choice.facts(objects=task.objects)
@@ -399,9 +396,7 @@ def _only_stage(given: Mapping[str, ArrayLike | None]) -> tuple[str, Reals]:
     """Return the name and the matrix, shape (N, N), of the given stage; raise unless it is one."""
     stages = [name for name, matrix in given.items() if matrix is not None]
     if len(stages) != 1:
-        raise InputError(
-            f"give exactly one of {', '.join(given)}; got {', '.join(stages) or 'none'}"
-        )
+        raise InputError(f"give one of {', '.join(given)}; got {', '.join(stages) or 'none'}")
     return stages[0], _as_matrix(given[stages[0]], stages[0])
 
 
@@ -412,9 +407,7 @@ def _as_matrix(matrix: ArrayLike | None, name: str, n_sensors: int | None = None
     except ValueError:
         values = np.asarray(None)
     if values.dtype.kind not in "biuf":
-        raise InputError(
-            f"the {name} must be a matrix of real numbers, shape (N, N), got {values.dtype}"
-        )
+        raise InputError(f"the {name} must be (N, N) real numbers, got {values.dtype}")
     n = n_sensors or (len(values) if values.ndim else 0)
     if values.shape != (n, n):
         shape = "(N, N)" if n_sensors is None else f"({n}, {n})"
@@ -423,10 +416,7 @@ def _as_matrix(matrix: ArrayLike | None, name: str, n_sensors: int | None = None
     if dtype == np.float32 and values.dtype == np.float64:
         largest = float(values.max(where=np.isfinite(values), initial=0))
         if largest and not 1 / _MAX_SINGLE < largest < _MAX_SINGLE:
-            raise InputError(
-                f"the largest {name} is {largest:g}, outside the range of single precision, which "
-                f"is used for {n} sensors; divide the matrix by its maximum"
-            )
+            raise InputError(f"the {name} {largest:g} exceeds single precision: divide by it")
     return np.asarray(values, dtype)
 
 

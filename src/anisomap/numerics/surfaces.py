@@ -22,6 +22,13 @@ def frozen(values: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
+def frames_along(axes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rotation matrices that map z to unit vectors. axes (..., 3) -> (..., 3, 3)."""
+    across = np.cross(np.eye(3)[np.abs(axes).argmin(axis=-1)], axes)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    return np.stack([across, np.cross(axes, across), axes], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh(Immutable):
     """A triangle mesh.
@@ -62,9 +69,7 @@ def estimate_normals(positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray
     """
     points = np.asarray(positions, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not np.isfinite(points).all():
-        raise InputError(
-            f"positions have shape {points.shape}; normals need finite points, (N, 2) or (N, 3)"
-        )
+        raise InputError(f"normals need finite points, (N, 2) or (N, 3), got {points.shape}")
     n_points = len(points)
     if points.shape[1] == 2:
         return np.tile([0.0, 0.0, 1.0], (n_points, 1)), np.ones(n_points, dtype=bool)

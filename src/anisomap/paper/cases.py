@@ -54,9 +54,7 @@ def parse_changes(texts: Iterable[str]) -> tuple[tuple[str, float], ...]:
     for text in texts:
         name, _, value = text.partition("=")
         if name not in OPEN:
-            raise InputError(
-                f"the paper does not leave {name!r} open; choose from {', '.join(OPEN)}"
-            )
+            raise InputError(f"the paper states {name!r}; choose from {', '.join(OPEN)}")
         try:
             found[name] = float(value)
         except ValueError:

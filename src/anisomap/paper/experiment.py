@@ -114,10 +114,7 @@ class Table:
         object.__setattr__(self, "rows", tuple(self.rows))
         for row in self.rows:
             if len(row) != len(self.columns):
-                raise InputError(
-                    f"table {self.name}: a row has {len(row)} values for "
-                    f"{len(self.columns)} columns"
-                )
+                raise InputError(f"{self.name}: a row has {len(row)} of {len(self.columns)} values")
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows as dictionaries."""

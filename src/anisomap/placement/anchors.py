@@ -56,10 +56,7 @@ class Anchors(Immutable):
         positions = np.array(self.positions, dtype=np.float64)
         names = tuple(self.names)
         if positions.ndim != 2 or positions.shape[1] not in (2, 3) or len(positions) != len(names):
-            raise InputError(
-                f"anchors need 2 or 3 coordinates for each of {len(names)} sensors, got an array "
-                f"of shape {positions.shape}"
-            )
+            raise InputError(f"{len(names)} anchors need 2 or 3 coordinates, got {positions.shape}")
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise InputError(f"anchor {join_items(repeated)} is given more than once")
@@ -94,10 +91,7 @@ def parse_anchor(text: str) -> tuple[str, tuple[float, ...]]:
     except ValueError:
         position = ()
     if not name or len(position) not in (2, 3) or not np.isfinite(position).all():
-        raise InputError(
-            f"{text!r} is not an anchor; write a sensor and its position in metres, such as "
-            "s17=0.012,0.040,0.003"
-        )
+        raise InputError(f"{text!r} is not an anchor in metres, such as s17=0.012,0.040,0.003")
     return name, position
 
 
@@ -124,10 +118,7 @@ def anchors_from_map(layout: SensorMap, units: str = "") -> Anchors:
     """
     unit = layout.units if layout.units in METRES else units
     if unit not in METRES:
-        raise InputError(
-            "the unit of the anchors is unknown; give it with --units, or in the header of the "
-            f"file, such as x [mm] (units: {', '.join(METRES)})"
-        )
+        raise InputError("the unit of the anchors is unknown; give --units, or columns as x [mm]")
     placed = np.flatnonzero(layout.placed)
     names = tuple(layout.names[i] for i in placed)
     return Anchors(names, layout.positions[placed] * METRES[unit])
@@ -215,10 +206,7 @@ def fit_anchors(tied: Tied, known: Known) -> AnchorFit:
     _check_spread(x, known.spacing)
     furthest = float(np.abs(y).max())
     if np.ptp(y, axis=0).max() <= max(SINGULAR * furthest, _MIN_LENGTH):
-        raise InputError(
-            f"all {len(y)} anchors have the same position; give the positions measured on the "
-            "robot, in metres"
-        )
+        raise InputError(f"all {len(y)} anchors have the same position; measure them on the robot")
     reflected, handed = choose_hand(tied, known)
     fit = fit_scaled(x, y, known, reflected)
     n, k = y.shape
@@ -257,10 +245,7 @@ def _check_spread(anchors: Points, spacing: float) -> None:
     widths = np.linalg.svd(anchors - anchors.mean(axis=0), compute_uv=False)
     if widths[k - 2] / np.sqrt(n) < spacing / 2:
         where = "at one place" if k == 2 else "on a line"
-        raise InputError(
-            f"the {n} anchors lie {where} on the map, so the rotation is unknown; give another "
-            "anchor far from them"
-        )
+        raise InputError(f"the {n} anchors lie {where} on the map; give another one far from them")
 
 
 def _choose_kernel(

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from anisomap.base import DEFAULT_METHOD, METRES
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
-from anisomap.numerics.surfaces import estimate_normals
+from anisomap.numerics.surfaces import estimate_normals, frames_along
 from anisomap.sensor_map import MAX_COORDINATE, UNSCALED, SensorMap
 
 _MIN_LENGTH = 1e-150  # its square is a normal floating-point number
@@ -31,10 +31,7 @@ def parse_length(text: str) -> tuple[float, str]:
     except ValueError:
         value, unit = 0.0, ""
     if not (np.isfinite(value) and value > 0 and unit in METRES):
-        raise InputError(
-            f"{text!r} is not a length; write a positive number and a unit, such as 6.5mm "
-            f"(units: {', '.join(METRES)})"
-        )
+        raise InputError(f"{text!r} is not a length such as 6.5mm, in {', '.join(METRES)}")
     return value, unit
 
 
@@ -63,10 +60,7 @@ def median_spacing(sensor_map: SensorMap) -> float:
             nearest += nearest_distances(component.positions).tolist()
     spacing = float(np.median(nearest)) if nearest else 0.0
     if not spacing > 0:
-        raise InputError(
-            "the spacing of the map is undefined: it needs two placed sensors at different "
-            "positions in one connected component"
-        )
+        raise InputError("the spacing of the map is undefined: no component has two places")
     return spacing
 
 
@@ -145,10 +139,7 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
     largest = float(np.nanmax(np.abs(sensor_map.positions))) * factor
     # Squares in the computation of distances must neither underflow nor overflow.
     if not (spacing > _MIN_LENGTH and factor > 0 and largest < MAX_COORDINATE):
-        raise InputError(
-            f"a spacing of {spacing:g} {units} takes the positions out of the range of "
-            "floating-point numbers; check its unit"
-        )
+        raise InputError(f"a spacing of {spacing:g} {units} is out of range; check its unit")
     provenance = {**sensor_map.provenance, "spacing": spacing, "scale": factor}
     return replace(rescaled(sensor_map, factor, units), provenance=provenance)
 
@@ -238,11 +229,7 @@ class Taxels:
     @property
     def rotations(self) -> Rotation:
         """Orientation of each sensor's frame; its z axis is the normal, x and y are arbitrary."""
-        helper = np.eye(3)[np.abs(self.normals).argmin(axis=1)]
-        x = np.cross(helper, self.normals)
-        x /= np.linalg.norm(x, axis=1, keepdims=True)
-        y = np.cross(self.normals, x)
-        return Rotation.from_matrix(np.stack([x, y, self.normals], axis=-1))
+        return Rotation.from_matrix(frames_along(self.normals))
 
     @property
     def roll_pitch_yaw(self) -> NDArray[np.float64]:
@@ -263,9 +250,8 @@ def to_taxels(sensor_map: SensorMap, purpose: str) -> Taxels:
     n_components = len(sensor_map.component_sizes)
     if n_components != 1:
         raise InputError(
-            f"{purpose} needs one connected component, but the map has {n_components}, and their "
-            "relative poses are unknown; write each map of SensorMap.split() to a separate file, "
-            "or leave out the sensors of the other components with --drop"
+            f"{purpose} needs one connected component, but the map has {n_components}; write each "
+            "map of SensorMap.split() to a file of its own, or leave sensors out with --drop"
         )
     indices = np.flatnonzero(sensor_map.placed)
     positions = pad_to_3d(sensor_map.positions[indices]) * METRES[sensor_map.units]

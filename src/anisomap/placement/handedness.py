@@ -202,9 +202,7 @@ def choose_hand(tied: Tied, known: Known) -> tuple[bool, bool]:
     if known.handedness is not None:
         against = evidence if known.handedness else -evidence
         if against > DECISIVE:
-            raise InputError(
-                "the anchors contradict the stated handedness; check their positions and names"
-            )
+            raise InputError("the anchors contradict the stated handedness; check both")
         return known.handedness, True
     if abs(evidence) >= DECISIVE:
         return evidence < 0, True

@@ -66,10 +66,7 @@ class Modules(Immutable):
         index, pads = (np.array(a, dtype=np.intp) for a in (self.index, self.pads))
         template = np.array(self.template, dtype=np.float64)
         if index.ndim != 1 or index.shape != pads.shape:
-            raise InputError(
-                f"modules and pads must have one entry per sensor, got {index.shape} and "
-                f"{pads.shape}"
-            )
+            raise InputError(f"modules and pads differ in length: {index.shape}, {pads.shape}")
         if ((index == NO_MODULE) != (pads == NO_MODULE)).any():
             raise InputError("sensors must have a pad if and only if they have a module")
         if min(index.min(initial=0), pads.min(initial=0)) < NO_MODULE or (
@@ -133,10 +130,7 @@ class Modules(Immutable):
             If the template has no unit of length, does not have 2 or 3 dimensions, or lacks a pad.
         """
         if template.units not in METRES:
-            raise InputError(
-                "the template of the modules must have a unit of length, such as a header "
-                f"name,x [mm],y [mm], but its unit is {template.units or 'unknown'}"
-            )
+            raise InputError(f"the template needs a unit, x [mm], got {template.units or 'none'}")
         numbers = trailing_numbers(template.names)
         if None in numbers or len(set(numbers)) < len(numbers):
             numbers = tuple(range(template.n_sensors))
@@ -184,9 +178,7 @@ def modules_by_size(names: Sequence[str], size: int, first: int | None = None) -
     numbers = np.array([-1 if number is None else number for number in found], dtype=np.intp)
     numbered = numbers >= 0
     if not numbered.any():
-        raise InputError(
-            "modules are found by the numbers at the end of names, and no name has one"
-        )
+        raise InputError("modules are found by numbers at the end of names, and no name has one")
     repeated = [n for n, count in Counter(numbers[numbered].tolist()).items() if count > 1]
     if repeated:
         raise InputError(
@@ -237,9 +229,7 @@ def modules_by_name(
         If no sensor is among `names`, only some sensors have a pad, or two sensors share a pad.
     """
     if not set(names) & set(assigned):
-        raise InputError(
-            "no sensor of the list of modules is among the sensors of the map; use the same names"
-        )
+        raise InputError("no sensor of the list of modules is on the map; use the same names")
     given = {pad is not None for _, pad in assigned.values()}
     if len(given) > 1:
         raise InputError("the list of modules must give a pad for all sensors, or for none")

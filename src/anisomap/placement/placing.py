@@ -21,7 +21,7 @@ from anisomap.names import match_names
 from anisomap.numerics.neighbours import padded
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.surfaces import Mesh, Points
-from anisomap.placement.anchors import AnchorFit, Anchors, fit_anchors
+from anisomap.placement.anchors import COVERAGE, AnchorFit, Anchors, fit_anchors
 from anisomap.placement.frames import (
     length_shown,
     mirrored,
@@ -43,9 +43,6 @@ from anisomap.sensor_map import UNPLACED, SensorMap, radius
 # Standard deviations of the logarithm of a scale. Scales by modules were 1 to 5 % off on real and
 # simulated hexagons; the deviation of scales by spacing is a cautious guess.
 _MODULE_SCALE, _SPACING_SCALE = 0.04, 0.2
-
-COVERAGE = 0.9
-"""Probability that the error of a sensor is below the stated error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,17 +117,12 @@ def place(
     if sensor_map.anchored:
         raise InputError("the map is in the frame of the robot already; place the original map")
     if sensor_map.dimensions not in (2, 3):
-        raise InputError(
-            f"a map must have 2 or 3 dimensions to be placed, got {sensor_map.dimensions}"
-        )
+        raise InputError(f"maps are placed in 2 or 3 dimensions, got {sensor_map.dimensions}")
     if mesh is not None and anchors is None:
         raise InputError("to place a map on a mesh, give at least 3 anchors")
     stated = None if not handedness else handedness == "mirrored"
     if anchors is None and modules is None and spacing is None and sensor_map.units not in METRES:
-        raise InputError(
-            "the map has no scale: give anchors, modules, or the spacing of the sensors "
-            "(--anchors, --module-layout or --spacing)"
-        )
+        raise InputError("the map has no scale: give --anchors, --module-layout or --spacing")
     parts = []
     for label in range(len(sensor_map.component_sizes)):
         members = sensor_map.component == label

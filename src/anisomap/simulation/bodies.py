@@ -108,9 +108,7 @@ def plane(n_sensors: int = 169) -> Body:
     COUNT.check("n_sensors", n_sensors)
     side = round(np.sqrt(n_sensors))
     if side**2 != n_sensors:
-        raise InputError(
-            f"n_sensors of a plane must be a square number such as {side**2}, got {n_sensors}"
-        )
+        raise InputError(f"n_sensors of a plane must be a square, as {side**2}, got {n_sensors}")
     grid = midpoints(side, _PLANE_EDGE)
     places = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     return _flat("plane", places, _PLANE_EDGE / 2, _PLANE_THICKNESS / 2)
@@ -149,9 +147,7 @@ def midpoints(n: int, length: float) -> Points:
 def _divided(n_sensors: int, groups: int, meaning: str) -> int:
     COUNT.check("n_sensors", n_sensors)
     if n_sensors % groups:
-        raise InputError(
-            f"n_sensors must be a multiple of {groups}, the {meaning}; got {n_sensors}"
-        )
+        raise InputError(f"n_sensors must be a multiple of {groups}, the {meaning}")
     return n_sensors // groups
 
 

@@ -74,16 +74,10 @@ class Body(Immutable):
     def __post_init__(self) -> None:
         positions, normals = frozen(self.positions), frozen(self.normals)
         if not positions.size or normals.shape != positions.shape or positions.shape[1:] != (3,):
-            raise InputError(
-                f"positions and normals of the sensors of the body {self.name} must have shape "
-                f"(N, 3), got {positions.shape} and {normals.shape}"
-            )
+            raise InputError(f"positions and normals of {self.name} must be (N, 3)")
         finite = np.isfinite(np.column_stack([positions, normals])).all(axis=1)
         if not finite.all():
-            raise InputError(
-                f"sensor {finite.argmin()} of the body {self.name} must have a finite position and "
-                "normal"
-            )
+            raise InputError(f"sensor {finite.argmin()} of {self.name} needs a position and normal")
         self.set_fields(
             positions=positions,
             normals=normals,

@@ -23,6 +23,7 @@ from scipy.spatial.distance import cdist
 
 from anisomap.numerics.neighbours import nearest_distances
 from anisomap.numerics.ranges import between
+from anisomap.numerics.surfaces import frames_along
 from anisomap.simulation import solids
 from anisomap.simulation.body import ON_SURFACE, Body
 from anisomap.simulation.options import (
@@ -281,8 +282,7 @@ def tangent(directions: Points, normals: Points) -> Points:
     across = directions - np.sum(directions * normals, axis=-1, keepdims=True) * normals
     length = np.linalg.norm(across, axis=-1, keepdims=True)
     # Directions along the normal have no projection; any tangent is valid.
-    fallback = np.cross(normals, np.eye(3)[np.argmin(np.abs(normals), axis=-1)])
-    fallback = fallback / np.linalg.norm(fallback, axis=-1, keepdims=True)
+    fallback = frames_along(normals)[..., 0]
     return np.asarray(np.where(length > 1e-9, across / np.maximum(length, 1e-9), fallback))
 
 

@@ -355,14 +355,9 @@ def simulate_journey(
 ) -> Journey:
     """Simulate the motion of the body; see `locomotion`."""
     if not can_roll(body):
-        raise InputError(
-            f"the body {body.name} does not roll; locomotion needs a sphere or a cylinder"
-        )
-    if options.half_width < _MIN_HALF_WIDTH * body.reach:
-        raise InputError(
-            f"half_width must be at least {_MIN_HALF_WIDTH:g} times the reach of the body, got "
-            f"{options.half_width / body.reach:g} times"
-        )
+        raise InputError(f"the body {body.name} does not roll; choose a sphere or a cylinder")
+    if options.half_width < (least := _MIN_HALF_WIDTH * body.reach):
+        raise InputError(f"half_width must be at least {least:g}, got {options.half_width:g}")
     terrain = bumpy_terrain(
         options.half_width, options.cell, options.roughness, options.correlation, rng
     )

@@ -72,9 +72,7 @@ def options_for(kind: type[Any], body: Body, given: Mapping[str, Any] | None = N
     known = {entry.name: entry for entry in fields(kind)}
     for name in given or {}:
         if name not in known:
-            raise InputError(
-                f"the scenario has no parameter {name!r}; choose from {', '.join(known)}"
-            )
+            raise InputError(f"there is no parameter {name!r}; choose from {', '.join(known)}")
     reference = sphere()
     scaled = {
         name: entry.default * (getattr(body, per) / getattr(reference, per))

@@ -202,10 +202,7 @@ def find_body(body: str | Body, n_sensors: int | None = None) -> Body:
     """
     if isinstance(body, Body):
         if n_sensors is not None:
-            raise InputError(
-                f"n_sensors cannot be given with the body {body.name}, which has "
-                f"{body.n_sensors} sensors"
-            )
+            raise InputError(f"n_sensors cannot be given: {body.name} has {body.n_sensors} sensors")
         return body
     if body not in BODIES:
         raise InputError(f"there is no body {body!r}; choose from {', '.join(BODIES)}")

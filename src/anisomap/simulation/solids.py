@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anisomap.errors import InputError
-from anisomap.numerics.surfaces import Mesh, TriangleSearch, areas_of, frozen, sample_triangles
+from anisomap.numerics.surfaces import (
+    Mesh,
+    TriangleSearch,
+    areas_of,
+    frames_along,
+    frozen,
+    sample_triangles,
+)
 
 Points: TypeAlias = NDArray[np.float64]
 Chosen: TypeAlias = Callable[[Points], NDArray[np.bool_]]
@@ -53,10 +60,7 @@ class Solid:
     def __post_init__(self) -> None:
         lengths = np.abs([*self.size, *np.ravel(self.centre)])
         if not (lengths <= MAX_LENGTH).all():
-            raise InputError(
-                f"a {self.kind} must have a size and centre of at most {MAX_LENGTH:g}, "
-                f"got up to {lengths.max():g}"
-            )
+            raise InputError(f"a {self.kind} must be within {MAX_LENGTH:g}, got {lengths.max():g}")
 
     def distance(self, points: ArrayLike) -> Points:
         """Compute the exact signed distance of points from the surface. points (n, 3) -> (n,)."""
@@ -126,7 +130,7 @@ def capsule(radius: float, start: ArrayLike, end: ArrayLike) -> Solid:
     """Make a capsule: all points within `radius` of the segment from `start` to `end`."""
     first, last = frozen(start), frozen(end)
     length = float(np.linalg.norm(last - first))
-    rotation = frozen(rotation_to((last - first) / length))
+    rotation = frozen(frames_along((last - first) / length))
     return Solid("capsule", (float(radius), length / 2), frozen((first + last) / 2), rotation)
 
 
@@ -210,14 +214,6 @@ _DISTANCES: dict[str, Callable[[Points, tuple[float, ...]], Points]] = {
 }
 
 
-def rotation_to(axis: Points) -> Points:
-    """Return a rotation matrix that maps z to a unit vector."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(helper, axis)
-    first /= np.linalg.norm(first)
-    return np.column_stack([first, np.cross(axis, first), axis])
-
-
 def _tessellated(kind: str, size: tuple[float, ...]) -> Mesh:
     if kind == "box":
         corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, 8).T
@@ -291,9 +287,7 @@ def sample_surface(
             points, normals = (np.vstack(parts) for parts in zip(*found, strict=True))
             chosen = rng.permutation(n_found)[:n_points]
             return points[chosen], normals[chosen]
-    raise InputError(
-        "the solids have no exposed surface for sensors, since each lies inside another"
-    )
+    raise InputError("the solids have no exposed surface: each lies inside another")
 
 
 def _sample_solid(solid: Solid, n_points: int, rng: np.random.Generator) -> tuple[Points, Points]:

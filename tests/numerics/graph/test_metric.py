@@ -99,7 +99,7 @@ def test_components_are_numbered_by_size():
     ("matrix", "message"),
     [
         (np.zeros((2, 3)), "square"),
-        ([[0, -1], [-1, 0]], "must be at least 0"),
+        ([[0, -1], [-1, 0]], "is negative: -1"),
         ([[0, 1], [2, 0]], "not symmetric"),
         ([[0, np.nan], [np.nan, 0]], "0 and 1 is NaN"),
         ([[1, 2], [2, 1]], "to itself"),
@@ -122,7 +122,7 @@ def test_minimax_paths_equal_brute_force(dissimilarity):
 
 
 def test_minimax_paths_of_infinite_lengths_are_rejected():
-    with pytest.raises(InputError, match="must be finite"):
+    with pytest.raises(InputError, match="need finite"):
         minimax_paths([[0, np.inf], [np.inf, 0]])
 
 

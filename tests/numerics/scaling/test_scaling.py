@@ -106,7 +106,7 @@ def test_connected_components_are_rejected():
     distances = np.full((4, 4), np.inf)
     distances[:2, :2] = distances[2:, 2:] = 1
     np.fill_diagonal(distances, 0)
-    with pytest.raises(InputError, match="2 connected components"):
+    with pytest.raises(InputError, match="form 2 components"):
         smacof(distances)
 
 

@@ -58,10 +58,7 @@ def _modules(
     if not rigid.given:
         return None
     if rigid.module_layout is None or not rigid.divided:
-        raise InputError(
-            "modules need the positions of their pads, --module-layout FILE, and either "
-            "--module-table FILE or --module-size"
-        )
+        raise InputError("modules need --module-layout and either --module-table or --module-size")
     size = rigid.module_size or 0
     divided = rigid.listed(sensor_map.names) or placement.modules_by_size(sensor_map.names, size)
     return rigid.with_layout(divided)

@@ -117,10 +117,7 @@ def read_body(body: str, n_sensors: int | None = None) -> anisomap.simulation.Bo
     if path.suffix.lower() in _MESHES:
         raise InputError(f"{body} is a mesh; give a file of the positions of sensors on it")
     if not path.exists():
-        raise InputError(
-            f"there is no body or file {body!r}; choose from {', '.join(BODIES)}, or give a file "
-            "of positions"
-        )
+        raise InputError(f"there is no body or file {body!r}; bodies: {', '.join(BODIES)}")
     if n_sensors is not None:
         raise InputError(f"--sensors is for named bodies; the file {body} holds its sensors")
     found = io.read_map(path)

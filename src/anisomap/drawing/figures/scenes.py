@@ -72,9 +72,7 @@ def scene_figure(scene: Scene, frame: int | None = None) -> Figure:
 def bodies_figure(title: str, scenes: Sequence[Scene], labels: Sequence[str]) -> Figure:
     """Draw the bodies of several scenes side by side, with their sensors."""
     if not scenes or len(scenes) != len(labels):
-        raise InputError(
-            f"one label per scene is needed, got {len(labels)} labels for {len(scenes)} scenes"
-        )
+        raise InputError(f"{len(scenes)} scenes need as many labels, got {len(labels)}")
     with new_figure(4.0 * len(scenes), 4.6, title) as figure:
         figure.subplots_adjust(left=0.01, right=0.94, bottom=0.08, top=0.86, wspace=0.16)
         for i, (scene, label) in enumerate(zip(scenes, labels, strict=True)):

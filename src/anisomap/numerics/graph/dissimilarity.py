@@ -90,9 +90,7 @@ def direct_dissimilarity(similarity: ArrayLike, noise: ArrayLike) -> Reals:
     values = as_symmetric(similarity, "similarity")
     variance = as_symmetric(noise, "noise")
     if variance.shape != values.shape:
-        raise InputError(
-            f"the noise has shape {variance.shape}; it must be {values.shape}, as the similarity"
-        )
+        raise InputError(f"the noise must have shape {values.shape}, got {variance.shape}")
     least = typical_variance(variance)
     weight = 1 - (1 - _reliability(values, least)) ** 2
     direct = partial_correlation(values)

@@ -86,9 +86,7 @@ def check_semi_metric(dissimilarity: ArrayLike, *, copy: bool = True) -> Reals:
     lengths = as_symmetric(dissimilarity, "dissimilarity", copy=copy)
     if lengths.min() < 0:
         i, j = np.argwhere(lengths < 0)[0]
-        raise InputError(
-            f"the dissimilarity of {i} and {j} is {lengths[i, j]:g}; it must be at least 0"
-        )
+        raise InputError(f"the dissimilarity of {i} and {j} is negative: {lengths[i, j]:g}")
     if np.diag(lengths).any():
         i = int(np.flatnonzero(np.diag(lengths))[0])
         raise InputError(f"the dissimilarity of {i} to itself is {lengths[i, i]:g}; it must be 0")
@@ -124,9 +122,7 @@ def minimax_paths(dissimilarity: ArrayLike) -> Floats:
     """
     lengths = check_semi_metric(dissimilarity)
     if not np.isfinite(lengths).all():
-        raise InputError(
-            "dissimilarities must be finite for minimax paths; split connected components first"
-        )
+        raise InputError("minimax paths need finite dissimilarities; split components first")
     n_objects = len(lengths)
     order, added_by = np.zeros(n_objects, dtype=np.intp), np.zeros(n_objects, lengths.dtype)
     for k, (node, end) in enumerate(tree_edges(-lengths), start=1):

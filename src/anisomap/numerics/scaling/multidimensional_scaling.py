@@ -17,6 +17,7 @@ from scipy.optimize import OptimizeResult, isotonic_regression, minimize
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 from scipy.spatial.distance import cdist
 
+from anisomap.base.immutable import Immutable
 from anisomap.errors import InputError
 from anisomap.numerics.compiled.parallel import load_loops, parallel_map, uses_loops
 from anisomap.numerics.graph.dissimilarity import as_symmetric
@@ -368,7 +369,7 @@ DEFAULT_SMACOF = SmacofOptions()
 
 
 @dataclass(frozen=True, eq=False)
-class Scaling:
+class Scaling(Immutable):
     """Result of stress minimisation.
 
     positions (N, k): Centred on the origin.
@@ -429,15 +430,12 @@ def smacof(
     positions, trace, converged = solve(problem, positions, chosen.tolerance, chosen.max_iterations)
     if not converged and chosen.max_iterations:
         logger.info("stress minimisation did not converge in %d iterations", len(trace) - 1)
-    history = np.array(trace)
     positions = positions - positions.mean(axis=0)
-    positions.setflags(write=False)
-    history.setflags(write=False)
     return Scaling(
         positions=positions,
         raw_stress=trace[-1],
         spread=problem.squares(positions),
-        trace=history,
+        trace=np.array(trace),
         converged=bool(converged),
     )
 
@@ -449,9 +447,7 @@ def _connected_targets(targets: Reals, weights: Reals) -> Reals:
     np.fill_diagonal(known, 0)
     n_components = components(known).max() + 1
     if n_components > 1:
-        raise InputError(
-            f"the known distances form {n_components} connected components; scale each separately"
-        )
+        raise InputError(f"known distances form {n_components} components; scale each separately")
     return known
 
 
@@ -520,12 +516,9 @@ def ordinal_smacof(
         disparities[second[order], first[order]] = rescaled
         scaling = smacof(disparities, start=scaling.positions, weights=weights, options=steps)
     disparities[first[order], second[order]] = disparities[second[order], first[order]] = fitted
-    history = np.array(trace)
-    history.setflags(write=False)
-    done = replace(
-        scaling, raw_stress=missed, spread=spread, trace=history, converged=converged or not missed
-    )
-    return done, disparities
+    converged |= not missed
+    done = replace(scaling, raw_stress=missed, spread=spread, trace=np.array(trace))
+    return replace(done, converged=converged), disparities
 
 
 def _by_paths(values: ArrayLike, **settings: Any) -> tuple[Scaling, Floats]:
@@ -550,7 +543,5 @@ that the scaling approximates.
 def find_scaling(name: str) -> Callable[..., tuple[Scaling, Floats]]:
     """Look up a function by its name, a key of `SCALINGS`."""
     if name not in SCALINGS:
-        raise InputError(
-            f"there is no scaling of dissimilarities {name!r}; choose from {', '.join(SCALINGS)}"
-        )
+        raise InputError(f"there is no scaling {name!r}; choose from {', '.join(SCALINGS)}")
     return SCALINGS[name]
