@@ -44,13 +44,13 @@ class ReadingOptions:
     select
         Recording to read, if the file contains several. Give a topic (optionally with a field, as
         in /skin:data), a dataset or a port; separate several topics or ports by commas.
-        `anisomap info` lists them.
+        `anisomap info` lists what the file contains.
     positions
-        File of the true positions of the sensors. Sensors are matched by name, or by the number in
-        their names; maps are scored against these positions.
+        File of true positions, to score maps. Sensors are matched by name, or by the number in
+        their names.
     grid
-        Rows and columns of an array whose sensors are numbered row by row, such as 32x64. They give
-        the true positions.
+        Rows and columns of an array, such as 32x64. Sensors must be numbered row by row; their true
+        positions are then known.
     preset
         Robot whose numbering of sensors is known: icub or icub-hand.
     keep
@@ -58,9 +58,9 @@ class ReadingOptions:
         commas; may be repeated. Default: all columns that are not recognised as something else.
     axis
         Axis to read from taxels with three axes: z, x, y, norm (the distance of the reading from
-        its value at rest), or all, which makes each axis a sensor.
+        its value at rest), or all (each axis becomes a sensor).
     msg
-        Message definition (.msg), if the bag lacks it; may be repeated.
+        Message definition (.msg), if the bag does not contain it; may be repeated.
     """
 
     select: Annotated[str, Parameter(name=("--select", "--topic"))] = ""
@@ -110,9 +110,9 @@ class PlacingOptions:
     Parameters
     ----------
     spacing
-        Median distance to the nearest sensor, such as 6.5mm. The map is scaled to it, and errors
-        are given in millimetres. Formats of robot software are in metres and require a scale.
-        If the spacing is unknown, `anisomap place --module-layout` finds the scale.
+        Median distance to the nearest sensor, such as 6.5mm. It gives the map a scale, which
+        formats of robot software require; errors are then in millimetres. If the spacing is
+        unknown, `anisomap place --module-layout` finds the scale.
     mirror
         Reflect the map, if its handedness is wrong. Readings do not determine the handedness.
     frame
@@ -158,13 +158,13 @@ class ModuleOptions:
     Parameters
     ----------
     module_layout
-        File of the pads of a module, as x [mm], y [mm].
+        File of the pads of one module: columns x [mm], y [mm].
     module_size
         Pads per module, including missing pads. The number at the end of a sensor's name determines
-        the module; numbers count from 0 or 1, whichever gives fewer modules.
+        its module. Numbers begin at 0 or at 1, whichever gives fewer modules.
     module_table
-        File of the modules of sensors, instead of --module-size. The columns are sensor, module
-        and, optionally, pad.
+        Table of modules, instead of --module-size. The columns are sensor, module and, optionally,
+        pad.
     """
 
     module_layout: Path | None = None
@@ -255,15 +255,15 @@ Seed: TypeAlias = Annotated[
 Permutations: TypeAlias = Annotated[
     Amount,
     Parameter(
-        group=expert_group, help="Random permutations for the p-value of Mantel r; 0 skips it."
+        group=expert_group, help="Permutations for the p-value of Mantel r; 0 gives no p-value."
     ),
 ]
 Truth: TypeAlias = Annotated[
     Path | None,
     Parameter(
         group=expert_group,
-        help="File of true positions to score the map against, in any format of maps. Default: "
-        "the positions in the recording, if it has any.",
+        help="File of true positions, in any map format, to score the map. Default: the positions "
+        "in the recording, if it contains any.",
     ),
 ]
 Exclude: TypeAlias = Annotated[
@@ -309,7 +309,7 @@ Missing: TypeAlias = Annotated[
 
 
 Units: TypeAlias = Annotated[
-    str | None, Parameter(help="Unit of the positions, if their file gives none.")
+    str | None, Parameter(help="Unit of the positions, if the file contains none.")
 ]
 Printing: TypeAlias = Annotated[Printer, Parameter(name="*", group=expert_group)]
 

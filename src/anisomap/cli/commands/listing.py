@@ -29,7 +29,7 @@ def list_kind(
     kind
         methods (and similarities), formats, bodies or scenarios.
     name
-        Scenario whose parameters are explained. Lengths are for a sphere with a radius of 1 m.
+        Scenario to explain. Default lengths are for a sphere with a radius of 1 m.
 
     Examples
     --------

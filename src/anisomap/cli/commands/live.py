@@ -53,11 +53,11 @@ class PageOptions:
     browser
         Open the page in a browser.
     headless
-        Print lines instead of showing a page. With --json, print objects.
+        Print lines instead of showing a page. With --json, print JSON objects.
     until
-        End when the verdicts on two checked maps in a row reach this level.
+        End when the verdicts on two successive checked maps reach this level.
     duration
-        End this number of seconds after the first frame.
+        Seconds from the first frame to the end.
     """
 
     port: Annotated[int, Parameter(validator=Number(gte=0, lte=65535)), options.expert] = 8765
@@ -100,8 +100,8 @@ def live(
     """Map a skin while it is touched, and show where to touch next.
 
     Readings are recorded in a file for `anisomap map`. A page in the browser shows the readings,
-    the current map, and how far it can be trusted. Ctrl-C ends the session: the final map is made
-    from all frames, and the page is kept as a file beside the recording.
+    the current map, and how far it can be trusted. Ctrl-C ends the session. The final map is then
+    made from all frames, and the page is saved beside the recording.
 
     Parameters
     ----------
@@ -114,17 +114,17 @@ def live(
     preset
         Robot whose numbering of sensors is known: icub or icub-hand.
     grid
-        Rows and columns of a matrix, such as 32x64. A line is a row or a frame, row by row.
+        Rows and columns of a matrix, such as 32x64. Each line is one row, or all rows of a frame.
     recording
         New file for the recording [live-DATE-TIME.csv].
     output
-        Map, in the format of its suffix. May be repeated. Default: the name of the recording with
-        .map.csv.
+        Map file; its suffix gives the format. May be repeated. Default: the name of the recording
+        with .map.csv.
     spacing
-        Median distance to the nearest sensor, such as 6.5mm. Written maps are scaled to it.
+        Median distance to the nearest sensor, such as 6.5mm. It gives the written maps a scale.
     dimensions
-        2 for flat skins, 3 for bodies, or auto. Auto chooses for each checked map; quick maps use
-        the number that two checked maps in a row have chosen.
+        2 for flat skins, 3 for curved skins, or auto. Auto chooses for each checked map; quick maps
+        use the number that two successive checked maps chose.
     truth
         File of true positions to compare maps with.
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def convert(
     map_file: options.MapFile,
-    output: Annotated[Path, Parameter(help="File to write, in the format of its suffix.")],
+    output: Annotated[Path, Parameter(help="File to write; its suffix gives the format.")],
     /,
     *,
     placing: options.PlacingOptions = options.DEFAULT_PLACING,
@@ -148,8 +148,8 @@ def score_map(
     reference_file: Annotated[
         Path,
         Parameter(
-            help="File of reference positions: true positions (x, y[, z] and names), a recording "
-            "with positions, or another map."
+            help="File of reference positions: a table of true positions (name, x, y[, z]), a "
+            "recording with positions, or another map."
         ),
         options.existing,
     ],
@@ -164,8 +164,8 @@ def score_map(
 ) -> None:
     """Score a map against known positions, and list the worst sensors.
 
-    Sensors are matched by name, or by order if one file has no names. Taxels of an iCub are matched
-    by number if no name is shared.
+    Sensors are matched by name, or by order if one file has no names. If layouts of an iCub share
+    no name, taxels are matched by number.
 
     Examples
     --------
@@ -210,15 +210,15 @@ def check(
 
     The check finds turned, mirrored, exchanged and moved modules, shifted and reversed orders of
     sensors, and swapped, moved, doubled and dead sensors. Sensors without evidence in the recording
-    are not tested. By default, modules are blocks of consecutive sensors whose shape repeats. With
-    --module-layout, the given module is fitted to the sensors of each module, even if they have
-    another shape in the layout. The exit code is 0 if the layout is consistent, 1 if sensors are
-    flagged or the whole layout is rejected, and 2 if the recording contains too little evidence.
+    are not tested. By default, modules are blocks of consecutive sensors that have the same shape.
+    With --module-layout, the given shape is fitted to each module, even if it is bent in the
+    layout. The exit code is 0 if the layout is consistent, 1 if sensors are flagged or the whole
+    layout is rejected, and 2 if the recording contains too little evidence.
 
     Parameters
     ----------
     output
-        Corrected positions, in any format of maps.
+        File for the corrected positions, in any map format.
 
     Examples
     --------

@@ -34,7 +34,7 @@ class AnchorOptions:
     anchors
         File of the positions of some sensors, in any map format.
     units
-        Unit of the --anchors file, if the file gives none.
+        Unit of the --anchors file, if it contains none.
     """
 
     anchor: list[str] = field(default_factory=list)
@@ -82,20 +82,20 @@ def place_map(
 ) -> None:
     """Place a map in the frame of the robot, with an error for each sensor.
 
-    Anchors, modules and a mesh can be given together. Anchors are sensors with a known position;
-    three or more determine the pose. Rigid modules of known shape determine the scale and make the
-    map more accurate.
+    Anchors are sensors with known positions; three or more determine the pose. Rigid modules of
+    known shape determine the scale and make the map more accurate. Anchors, modules and a mesh can
+    be combined.
 
     Parameters
     ----------
     output
-        Map, in the format of its suffix [NAME.placed.csv]. May be repeated. The default is in the
-        current folder.
+        Map file; its suffix gives the format [NAME.placed.csv]. May be repeated. The default file
+        is in the current folder.
     frame
         Name of the frame of the anchors.
     mesh
-        Mesh of the part, in the frame of the anchors. Sensors are placed on its surface, with its
-        normals. The format is .stl, .obj, .ply, .off or .glb.
+        Mesh of the robot part, in the frame of the anchors. Sensors are placed on its surface, and
+        get its normals. The format is .stl, .obj, .ply, .off or .glb.
     mesh_units
         Unit of the mesh.
     spacing
@@ -104,8 +104,8 @@ def place_map(
         Handedness of the map, if known: same as the skin, or mirrored. Default: determined from
         anchors and modules.
     suggest
-        Number of anchors to suggest for each component. The best anchors to measure are printed,
-        and nothing is placed.
+        Number of anchors to suggest for each component. The command prints the best sensors to
+        measure, and places nothing.
 
     Examples
     --------

@@ -127,12 +127,11 @@ class VerdictOptions:
         The verdict takes one to three times as long as the map; Ctrl-C ends it and keeps the map.
     contacts
         Shape of all contacts: compact or elongated. Contacts of a fingertip, a palm or a ball are
-        compact; contacts of an edge or a roller are elongated. Only verdicts on unevenly spaced
-        maps depend on this option: with --contacts compact and --uneven, such a map can be usable;
-        without, it is at most usable for neighbours. Default: the shape given in the file, as in
-        files of simulate.
+        compact; contacts of an edge or a roller are elongated, and increase the expected error. A
+        map of unevenly spaced sensors can be usable only with --contacts compact and --uneven.
+        Default: the shape given in the recording, as in files of simulate.
     uneven
-        State that the sensors are unevenly spaced on the skin; see --contacts.
+        The sensors are unevenly spaced on the skin; see --contacts.
     min_quality
         Exit with code 1 if the verdict is worse than this level, or "cannot tell". All files are
         written in any case.
@@ -159,8 +158,8 @@ class MappingOptions:
     Parameters
     ----------
     dimensions
-        2 for flat skins, 3 for bodies, or auto. Auto chooses 3 if the third coordinate clearly
-        improves the fit, else 2.
+        2 for flat skins, 3 for curved skins, or auto. Auto chooses 3 if the third coordinate
+        clearly improves the fit, else 2.
     repair
         Repair the faults of the recording first. `anisomap info` lists the faults, and `anisomap
         repair` writes the repaired recording.
@@ -201,14 +200,14 @@ def map_recording(
 ) -> int:
     """Make a map of a skin from one or several recordings.
 
-    Sensors of several recordings are matched by name; a recording may lack some sensors. Recordings
-    above 512 MiB (see --memory) are subsampled evenly.
+    Sensors of several recordings are matched by name; each recording may lack some sensors. Frames
+    of recordings above 512 MiB (see --memory) are subsampled evenly.
 
     Parameters
     ----------
     output
-        Map, in the format of its suffix [NAME.map.csv]. May be repeated. The default is in the
-        current folder.
+        Map file; its suffix gives the format [NAME.map.csv]. May be repeated. The default file is
+        in the current folder.
 
     Examples
     --------

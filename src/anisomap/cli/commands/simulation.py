@@ -141,7 +141,7 @@ def demo(
     Parameters
     ----------
     output_dir
-        Folder for recording, map, figure and report. It is created if necessary.
+        Folder for the recording, map, figure and report. It is created if necessary.
     frames
         Number of frames to simulate, at 20 Hz.
 
@@ -213,7 +213,7 @@ def paper(
     Parameters
     ----------
     output_dir
-        Folder for the results: open its index.html. It is created if absent.
+        Folder for the results, created if absent. Its index.html shows the results.
     quick
         Use fewer frames, seeds and permutations, for a preview.
     first_seed
@@ -222,10 +222,10 @@ def paper(
         Folder of icub_hexagon.npz, a recording of real skin. The page of results explains how to
         get it.
     set_
-        Parameter that the paper leaves open, as NAME=NUMBER. May be repeated; an example is
+        Parameter that the paper does not give, as NAME=NUMBER. May be repeated. An example is
         locomotion.detection_radius=.25.
     only
-        Experiment to run, after the experiments that it needs. May be repeated. Default: all.
+        Experiment to run. Experiments that it needs run first. May be repeated. Default: all.
 
     Examples
     --------
