@@ -174,10 +174,6 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         "rarely-touched": lambda count, total: (
             f"{count} of {total} sensors have too few contacts for a position; touch the whole skin"
         ),
-        "small-body": lambda extent: (
-            f"the sensors are only {extent:.1f} spacings (RMS) from their centre, so an error of "
-            "this size changes the shape"
-        ),
         "chance": lambda size, much, unit="spacings", touched=True: (
             f"maps of resampled recordings differ by {size:.2f} {unit}"
             + (": record longer" if much and not touched else "")

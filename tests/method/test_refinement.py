@@ -50,6 +50,16 @@ def test_paths_have_a_share_where_contacts_differ_from_place_to_place():
     assert likeness(found.positions, places) > likeness(found.fit.positions, places)
 
 
+def test_fingers_of_a_flat_hand_are_spread_less_than_on_the_scaled_map():
+    places = np.array([(x, y) for x in range(7) for y in range(9 if x % 3 == 0 else 5)], float)
+    rng = np.random.default_rng(0)
+    touch = rng.choice(places, 1500) + rng.uniform(-0.5, 0.5, (1500, 2))  # never between fingers
+    distances = np.linalg.norm(touch[:, None] - places, axis=2)
+    scaled, found = refined(np.maximum(0, 1 - distances / 1.8))
+    ours, others = (1 - likeness(p, places) for p in (found.positions, scaled))
+    assert ours < 0.65 * others
+
+
 @given(st.integers(0, 20))
 def test_the_refinement_does_not_depend_on_the_order_of_sensors(seed):
     known = stages(flat_skin(n_frames=300).readings)

@@ -12,12 +12,16 @@ from functools import partial
 from time import monotonic
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 
+from anisomap.method.dimensions import PLANE
 from anisomap.method.evidence import Evidence, log_stage
 from anisomap.numerics.covariogram.covariogram_fit import Covariogram, fit_covariogram
 from anisomap.numerics.covariogram.objective import CovariogramOptions
+from anisomap.numerics.graph.metric import metricise
 from anisomap.numerics.graph.neighbour_graphs import local_path_lengths
+from anisomap.numerics.neighbours import spanning_tree
 from anisomap.numerics.precision import Reals
 from anisomap.numerics.procrustes import fit_similarity
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, smacof
@@ -44,6 +48,11 @@ which the weight grows with its square: residuals are then not whitened, and cou
 Below it, 1e-4 to 4e-4 result in similar maps; spheres of 1,000 gain from up to 16 times the weight.
 """
 _LEAST_VARIANCE = 1e-4  # of ratios: the relative error of a metric is at least 1 %
+_ADJACENT, _SIGNIFICANT, _DETOUR = 1.5, 3.0, 1.2
+"""Distance of adjacent sensors in spacings, standard deviations of a significant correlation, and
+ratio of path and distance above which a path is not straight (at most 1.08 on lattices). With 1.4
+to 1.7, 3 to 4, and 1.15 to 1.25, maps are similar.
+"""
 _ROUGH = 1e-4  # tolerance of the first fit, which gives the unit of the metric
 
 _AFTER_ROUGH, _AFTER_FITS = 1.5, 0.3  # remaining time relative to elapsed; with 2,000 sensors
@@ -98,6 +107,8 @@ def refine(
         seconds = _AFTER_ROUGH * (monotonic() - begun)
         log_stage("fitting positions to the metric as well", len(positions), seconds)
     lengths, prior_weight = _in_unit_of(first.positions, metric)
+    if first.positions.shape[1] == PLANE:
+        lengths = np.where(_detours(evidence, first.positions), np.inf, lengths)
     found = fit(first.positions, lengths, least_prior=prior_weight, near=first)
     logger.debug("covariogram with exponent %.2f, %d steps", found.exponent, found.iterations)
     share = evidence.unexplained(found.positions)
@@ -126,6 +137,20 @@ def _in_unit_of(positions: Reals, metric: Reals) -> tuple[Reals, float]:
     variance = max(float(ratios.var()) / mean**2, _LEAST_VARIANCE)
     weight = _METRIC_SHARE * len(metric) * max(1, len(metric) / _LARGE) / variance
     return mean * metric, weight
+
+
+def _detours(evidence: Evidence, positions: Reals) -> NDArray[np.bool_]:
+    """Mark pairs of sensors whose straight line leaves a flat map. positions (n, 2) -> (n, n).
+
+    The metric follows the skin, so that it exceeds the distance of such pairs, as of two fingers of
+    a hand. Paths on the map join adjacent sensors and those with significant correlations.
+    """
+    distances = squareform(pdist(positions))
+    spacing = np.partition(distances, 2, axis=1)[:, 2]  # to the second nearest, as along a finger
+    linked = distances <= _ADJACENT * np.maximum.outer(spacing, spacing)
+    linked |= evidence.similarity > _SIGNIFICANT * np.sqrt(evidence.noise)
+    linked |= spanning_tree(distances)
+    return metricise(np.where(linked, distances, np.inf)) > _DETOUR * distances
 
 
 def _by_paths(evidence: Evidence, positions: Reals) -> Reals:

@@ -27,8 +27,8 @@ Independent noise exceeds it with a probability below 1 in 1,000: 12 sensors hav
 correlation has a standard deviation of .12 by chance. See ``docs/explanation/trust.md``.
 """
 
-MAX_ERROR, MAX_RELATIVE = 1.0, 0.4
-"""Maximum upper bound of the error of a usable map, in spacings, and relative to its extent."""
+MAX_ERROR = 1.0
+"""Maximum upper bound of the error of a usable map, in spacings."""
 
 MIN_KEPT = 0.7
 """Minimum lower bound of the share of kept neighbours of a map that is usable for neighbours.
@@ -36,9 +36,9 @@ MIN_KEPT = 0.7
 In the benchmark `trust` (seeds 7001 to 7119), 176 maps reach it, and 8 % of them keep fewer.
 """
 
-MAX_FOR_NEIGHBOURS = 0.4
-"""Maximum expected error of a map that is usable for neighbours, relative to its extent. It was at
-most .26 on 63 skins, and above 1 for mixtures of few signals, which have no positions.
+MAX_RELATIVE = 0.4
+"""Maximum expected error of a map for any use, relative to its extent. It was at most .26 on 63
+skins, and above 1 for mixtures of few signals, which have no positions.
 """
 
 GAIN_OF_BENT, BENT = 15.0, 0.23
@@ -241,21 +241,19 @@ def judge(measured: Measurements) -> Verdict:
     error = error.plus(share * measured.between, scale)
     region = region.plus(share * measured.regions_between, scale)
     kept = neighbours_kept(region.value / scale)
-    small = MAX_RELATIVE * extent <= error.high < MAX_ERROR
-    if error.high < MAX_ERROR and not small and not limits and not measured.unseen_squash:
+    shaped = error.value < MAX_RELATIVE * extent
+    if shaped and error.high < MAX_ERROR and not limits and not measured.unseen_squash:
         level = "usable"
     elif (
         kept.low >= MIN_KEPT
         and measured.repeatability <= MAX_CHANCE
         and connected >= MIN_FRAGMENT * measured.placed
-        and error.value < MAX_FOR_NEIGHBOURS * extent
+        and shaped
         and not ruined
     ):
         level = "usable for neighbours"
     else:
         level = "not usable"
-    if small:
-        limits.append(Note("small-body", extent=extent))
     limits += _conditions(measured, error.value / scale, usable=level == "usable")
     if level != "usable":
         limits += measured.faults

@@ -99,7 +99,7 @@ def slope(
     decayed: tuple[Singles, Singles, Singles, Singles],
     whitened_shape: Singles,
     data: tuple[Singles, Singles, Singles, Singles, Singles],
-    weights: tuple[float, float, float, float, float, float],
+    weights: tuple[float, float, float, float, float, float, float],
     force: Singles,
 ) -> tuple[float, float]:
     """Return the value and the derivative by the log exponent, and write the force."""
@@ -117,8 +117,8 @@ def slope(
         ratios += float(part)
         squared += float(part_squared)
         size += float(part_size)
-    mean, free = ratios / n_pairs, 1 - weights[5]
-    variance = np.float32(free * (squared / n_pairs / mean**2 - 1))
+    mean, free = ratios / weights[6], 1 - weights[5]
+    variance = np.float32(free * (squared / weights[6] / mean**2 - 1))
     prior_weight = weights[3] * mean ** (2 * weights[5])
     size /= n_pairs
     inverse_size, prior = np.float32(free / size), np.float32(prior_weight / mean)
@@ -151,6 +151,7 @@ def slope(
         deviations += float(part_deviation)
         log_distances += float(part_logarithm)
     log_distances -= free * n_pairs / 2 * np.log(size)
+    deviations -= n_pairs - weights[6]  # from infinite distances, -1 each
     value += prior_weight * deviations - weights[4] * log_distances
     return value, 2 * by_exponent
 

@@ -43,6 +43,7 @@ class Weights(NamedTuple):
     """Covariogram, and weights of squared deviations of ratios and of logarithms of distances.
 
     by_scale: Weight of the changes of both by the scale of the map.
+    n_lengths: Number of finite distances of the metric.
     """
 
     amplitude: float
@@ -51,6 +52,7 @@ class Weights(NamedTuple):
     prior: float
     repulsion: float
     by_scale: float
+    n_lengths: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,19 +110,22 @@ class Pairs:
         force /= decayed.squares
         distances, count = np.sqrt(decayed.squares, out=residual), len(force)
         deviations = np.multiply(distances, self.inverse_metric, out=term)
-        mean, free = _sum(deviations) / count, 1 - weights.by_scale
+        n_lengths = weights.n_lengths
+        mean, free = float(deviations.sum(dtype=np.float64)) / n_lengths, 1 - weights.by_scale
         deviations /= mean
         deviations -= 1
         prior = weights.prior * mean ** (2 * weights.by_scale)
         pull = np.divide(self.inverse_metric, distances, out=distances)
         pull *= prior / mean
-        variance = self.product(deviations, deviations) / 2 / count
-        value += prior * count * variance
+        # The deviation from an infinite distance is -1, which must not count.
+        variance = (self.product(deviations, deviations) / 2 - count) / n_lengths + 1
+        value += prior * n_lengths * variance
         deviations -= free * variance
         pull *= deviations
         force += pull
-        size = _sum(decayed.squares) / count
-        value -= weights.repulsion * (_sum(decayed.logarithms) - free * count / 2 * np.log(size))
+        size = float(decayed.squares.sum(dtype=np.float64)) / count
+        log_distances = float(decayed.logarithms.sum(dtype=np.float64))
+        value -= weights.repulsion * (log_distances - free * count / 2 * np.log(size))
         force -= np.divide(weights.repulsion / 2, decayed.squares, out=term)
         force += weights.repulsion / 2 * free / size
         return value, by_exponent, force
@@ -170,11 +175,6 @@ class CompiledPairs(Pairs):
         gradient = np.zeros(points.shape[::-1])
         load_loops("covariogram").pull(force, np.ascontiguousarray(points.T), gradient)
         return gradient.T
-
-
-def _sum(values: Reals) -> float:
-    """Sum values of pairs: numpy adds parts pairwise, in the precision of the values."""
-    return float(_rows(values).sum(axis=1).sum(dtype=np.float64))
 
 
 def _rows(values: Reals) -> Reals:
@@ -300,6 +300,7 @@ class Objective:
             for one in (problem.known, similarity)
         )
         inverse_metric = 1 / squareform(problem.metric, checks=False).astype(np.float64)
+        self._n_lengths = float(np.count_nonzero(inverse_metric))
         self._pairs = pairs = (CompiledPairs if loops else Pairs)(
             *(known, similarity, self._whitened(known), self._whitened(similarity)),
             inverse_metric=inverse_metric.astype(problem.precision),
@@ -332,7 +333,8 @@ class Objective:
         terms = self.terms(positions, log_exponent)
         amplitude, offset = solve_amplitude_and_offset(terms.products)
         exponent = float(np.exp(log_exponent))
-        weights = Weights(amplitude, exponent, offset, self._prior, self._repulsion, self._by_scale)
+        priors = self._prior, self._repulsion, self._by_scale, self._n_lengths
+        weights = Weights(amplitude, exponent, offset, *priors)
         value, by_exponent, force = self._pairs.slope(terms.decay, terms.whitened_shape, weights)
         by_positions = self._pairs.gradient(force, positions)
         return value, np.append(by_positions.ravel(), by_exponent)
