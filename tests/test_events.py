@@ -49,7 +49,7 @@ def test_equal_times_are_a_frame(events: list[tuple[int, int]]) -> None:
         (([0.5], [0.5]), "names or indices"),
         (([0, np.inf], [0, 1]), "time of event 1 is not finite"),
         (([0, 1], [0, -1], None, "ab"), "no sensor -1 among the 2 names"),
-        (([0, 1], [0, 1], 0), "bin_width must be a positive number"),
+        (([0, 1], [0, 1], 0), "bin_width must be positive"),
         (([0, 1e12], [0, 1], 1), "2 events would fill 1e.12 bins"),
     ],
 )

@@ -19,6 +19,7 @@ from anisomap.errors import AnisomapWarning, InputError
 from anisomap.method.dimensions import AUTO, Dimensions
 from anisomap.method.named import DEFAULT_MU, MethodOptions
 from anisomap.method.pipeline import reconstruct
+from anisomap.numerics.ranges import COUNT
 from anisomap.numerics.sampling import sample_of
 from anisomap.numerics.scaling.multidimensional_scaling import SmacofOptions, find_scaling
 from anisomap.numerics.similarity.binning import DEFAULT_BINS
@@ -362,8 +363,7 @@ class Anisomap(BaseEstimator):
         AnisomapWarning
             If X is a matrix of dissimilarities, but `metric` is not ``"precomputed"``.
         """
-        if self.n_init < 1:
-            raise InputError(f"n_init must be at least 1, got {self.n_init}")
+        COUNT.check("n_init", self.n_init)
         precomputed = self.metric == "precomputed"
         values = validate_data(
             self,

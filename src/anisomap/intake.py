@@ -20,6 +20,7 @@ from anisomap.base.clocks import is_time, seconds
 from anisomap.base.columns import examine, frames_of, names_of_frame
 from anisomap.base.wording import join_items
 from anisomap.errors import AnisomapWarning, InputError
+from anisomap.numerics.ranges import POSITIVE
 
 _CHANNELS = ("eeg", "mag", "grad", "seeg", "ecog", "dbs", "emg", "hbo", "hbr", "csd")
 """Types of mne channels that are sensors."""
@@ -81,8 +82,7 @@ def take_events(
         readings = np.zeros((len(moments), len(listed)), np.float32)
         readings[frames, columns] = 1
         return Taken(readings, listed, moments)
-    if not 0 < bin_width < np.inf:
-        raise InputError(f"bin_width must be a positive number of seconds, got {bin_width}")
+    POSITIVE.check("bin_width", bin_width, "s")
     places = np.round((at - at.min()) / bin_width, _EDGE_DECIMALS)
     n_bins = np.floor(places.max()) + 1
     if n_bins > max(_MIN_REFUSED_BINS, _MAX_BINS_PER_EVENT * len(at)):

@@ -81,58 +81,17 @@ def _components(sizes: Sequence[int], outside: Sequence[str]) -> str:
     )
 
 
-def _hidden_links(sensors: Sequence[str], total: int) -> str:
-    return (
-        f"noise hides how {len(sensors)} of {total} sensors are related to other sensors, so their "
-        f"positions are uncertain ({join_items(sensors)})"
-    )
-
-
-def _unknown_pairs(count: int, sensors: Sequence[str]) -> str:
-    return (
-        f"{count:,} pairs of sensors were never recorded together (sensors: "
-        f"{join_items(sensors, 5)}); their distances are estimated from other pairs only"
-    )
-
-
-def _looks_flat(objects: bool = False) -> str:
-    if objects:
-        return "a third dimension explains no more than chance: 2 dimensions suffice (-d 2)"
-    return (
-        "the map looks flat: a third dimension explains no more than chance; unless the skin is "
-        "bent like a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
-    )
-
-
-def _unclear_dimensions(objects: bool = False) -> str:
-    if objects:
-        return "the dissimilarities do not show the number of dimensions: choose it (-d 2)"
-    return (
-        "the readings do not show whether the skin is flat, so the map has 3 dimensions: for a "
-        "flat skin, choose 2 (-d 2)"
-    )
-
-
-def _line(objects: bool = False) -> str:
-    what = "objects" if objects else "sensors"
-    return f"the {what} appear to lie along a line: choose 1 dimension (-d 1)"
-
-
-def _two_dimensions(objects: bool = False) -> str:
-    bent = "; a skin that is bent like a sheet of paper is mapped as if unrolled"
-    return f"a third dimension explains no more than chance{'' if objects else bent}"
-
-
-def _three_dimensions(objects: bool = False) -> str:
-    what = "dissimilarities" if objects else "readings"
-    return f"two dimensions do not explain the {what}"
-
-
 WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
     {
         "components": _components,
-        "hidden-links": _hidden_links,
-        "unknown-pairs": _unknown_pairs,
+        "hidden-links": lambda sensors, total: (
+            f"noise hides how {len(sensors)} of {total} sensors are related to other sensors, so "
+            f"their positions are uncertain ({join_items(sensors)})"
+        ),
+        "unknown-pairs": lambda count, sensors: (
+            f"{count:,} pairs of sensors were never recorded together (sensors: "
+            f"{join_items(sensors, 5)}); their distances are estimated from other pairs only"
+        ),
         "not-converged": lambda: "scaling stopped before it converged: allow more iterations",
         "not-refined": lambda method: (
             f"the positions are not refined, because {method} needs the similarity for this"
@@ -141,11 +100,33 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"contacts differ from place to place ({share:.0%} of the variance of the correlations "
             "is not explained by distance), so lengths are less certain than neighbours"
         ),
-        "looks-flat": _looks_flat,
-        "unclear-dimensions": _unclear_dimensions,
-        "line": _line,
-        "two-dimensions": _two_dimensions,
-        "three-dimensions": _three_dimensions,
+        "looks-flat": lambda objects=False: (
+            "a third dimension explains no more than chance: 2 dimensions suffice (-d 2)"
+            if objects
+            else "the map looks flat: a third dimension explains no more than chance; unless the "
+            "skin is bent like a sheet of paper, a map in 2 dimensions (-d 2) is more accurate"
+        ),
+        "unclear-dimensions": lambda objects=False: (
+            "the dissimilarities do not show the number of dimensions: choose it (-d 2)"
+            if objects
+            else "the readings do not show whether the skin is flat, so the map has 3 dimensions: "
+            "for a flat skin, choose 2 (-d 2)"
+        ),
+        "line": lambda objects=False: (
+            f"the {'objects' if objects else 'sensors'} appear to lie along a line: choose 1 "
+            "dimension (-d 1)"
+        ),
+        "two-dimensions": lambda objects=False: (
+            "a third dimension explains no more than chance"
+            + (
+                ""
+                if objects
+                else "; a skin that is bent like a sheet of paper is mapped as if unrolled"
+            )
+        ),
+        "three-dimensions": lambda objects=False: (
+            f"two dimensions do not explain the {'dissimilarities' if objects else 'readings'}"
+        ),
         "apart": lambda apart, placed, touched=True: (
             f"the positions of {apart} of {placed} sensors relative to the other sensors are "
             f"unknown; {'touch the skin between them' if touched else 'record longer'}"

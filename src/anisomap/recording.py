@@ -20,6 +20,7 @@ from anisomap.intake import take, take_events, times_of
 from anisomap.names import check_names, default_names, find_sensors, match_names
 from anisomap.numerics.columns import fill_gaps
 from anisomap.numerics.levelling import offsets, steps_of_rest
+from anisomap.numerics.ranges import POSITIVE
 from anisomap.numerics.signals import Signals
 
 Scalar: TypeAlias = str | int | float | bool
@@ -99,10 +100,8 @@ class Recording(Immutable):
         if times is not None:
             times = times_of(times, n_frames)
             rate_hz = float(1 / np.median(np.diff(times))) if n_frames > 1 else rate_hz
-        if rate_hz is not None and not (
-            isinstance(rate_hz, int | float | np.number) and 0 < rate_hz < np.inf
-        ):
-            raise InputError(f"rate_hz must be a positive number, got {rate_hz!r}")
+        if rate_hz is not None:
+            POSITIVE.check("rate_hz", rate_hz)
         if not all(a < b for a, b in pairwise((0, *self.starts, n_frames))):
             raise InputError(f"starts must increase from 0 to {n_frames} frames: {self.starts}")
         _check_facts({"units": self.units, "source": self.source}, self.metadata)

@@ -230,16 +230,15 @@ class SensorMap(Immutable):
         return np.array(self.positions, dtype=dtype, copy=copy)
 
     def __repr__(self) -> str:
-        details = [f"{np.count_nonzero(self.placed)} of {self.n_sensors} {self.kind}s placed"]
-        details.append(f"{self.dimensions}D")
-        if len(self.component_sizes) > 1:
-            details.append(f"{len(self.component_sizes)} components")
-        details.append(f"method={self.method!r}")
-        details.append(f"units={self.units!r}")
-        details.append(f"Stress-1={self.stress:.3f}")
-        judged = self.verdict != UNJUDGED
-        details.append(f"verdict: {self.verdict.summary}" if judged else "not judged")
-        return f"<SensorMap: {', '.join(details)}>"
+        n_components, judged = len(self.component_sizes), self.verdict != UNJUDGED
+        details = (
+            f"{np.count_nonzero(self.placed)} of {self.n_sensors} {self.kind}s placed",
+            f"{self.dimensions}D",
+            f"{n_components} components" if n_components > 1 else "",
+            f"method={self.method!r}, units={self.units!r}, Stress-1={self.stress:.3f}",
+            f"verdict: {self.verdict.summary}" if judged else "not judged",
+        )
+        return f"<SensorMap: {', '.join(filter(None, details))}>"
 
     def indices(self, sensors: Iterable[str | int]) -> NDArray[np.intp]:
         """Look sensors up by name or index; see `Recording.indices`."""

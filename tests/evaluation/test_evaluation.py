@@ -255,5 +255,5 @@ def test_a_recording_with_positions_is_a_truth():
     assert len(repr(found.mantel)) < 80
     with pytest.raises(InputError, match="no true positions"):
         score(made, Recording(np.eye(12)))
-    with pytest.raises(InputError, match="SensorMap first, got ndarray"):
+    with pytest.raises(InputError, match="takes a SensorMap first"):
         score(truth, truth)

@@ -211,7 +211,7 @@ def test_a_spacing_alone_gives_metres():
     assert (found.units, found.anchored, found.handed) == ("m", False, False)
     assert found.known_up_to == "rotation, translation and reflection"
     assert place(mapped(body(2), 0), spacing=(6, "mm"), handedness="same").map.handed
-    with pytest.raises(InputError, match="spacing must be a positive number, got -1"):
+    with pytest.raises(InputError, match="spacing must be positive, got -1"):
         place(mapped(body(2), 0), spacing=(-1, "mm"))
 
 

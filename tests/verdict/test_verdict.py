@@ -128,7 +128,9 @@ def test_an_error_of_half_the_extent_leaves_no_neighbours_usable():
 def test_every_verdict_has_reasons_and_intervals_around_its_numbers(chance, difference):
     found = judge(evidence(chance, difference))
     assert found.reasons[0] in str(found)
-    assert found.level != "usable" or found.expected_error < 0.5
+    if found.level == "usable":
+        assert found.expected_error < 0.5
+        assert not any("record longer" in text for text in found.reasons)
     for name in RANGES:
         low, value, high = (getattr(found, f"{name}{end}") for end in ("_low", "", "_high"))
         assert 0 <= low <= value <= high
@@ -271,14 +273,6 @@ def test_insufficient_evidence_says_what_to_record():
     assert any("record longer" in reason for reason in made.verdict.reasons)
 
 
-@quiet
-def test_maps_of_noise_are_not_usable():
-    for seed in range(2):
-        noise = np.random.default_rng(seed).normal(size=(300, 20))
-        made = reconstruct(noise, dimensions=2)
-        assert diagnose(made, noise).verdict.level == "not usable"
-
-
 def verdict(made, recording):
     return diagnose(made, recording).verdict
 
@@ -328,7 +322,7 @@ def test_the_verdict_is_unknown_without_readings_or_refinement():
 def test_diagnosis_requires_the_sensors_of_the_map():
     skin = flat_skin(n_frames=300)
     made = reconstruct(skin, "r-anisomap", 2)
-    with pytest.raises(InputError, match="must have the same sensors"):
+    with pytest.raises(InputError, match="must have the sensors of the map"):
         diagnose(made, skin.select(range(40)))
 
 
@@ -413,12 +407,6 @@ def test_what_makes_neighbours_doubtful_excludes_maps_of_neighbours():
         assert found.level == "not usable"
         assert found.reasons[0] not in judge(evidence()).reasons
     assert judge(evidence(agreement=0.9, rarely=19)).level == "usable"
-
-
-@given(ERRORS, ERRORS)
-def test_advice_fits_the_level(chance, difference):
-    found = judge(evidence(chance, difference))
-    assert found.level != "usable" or not any("record longer" in text for text in found.reasons)
 
 
 @quiet

@@ -382,8 +382,9 @@ def score(
     check_coordinates(positions, compared, "on the map")
     check_coordinates(true_positions, compared, "in truth")
     generator = np.random.default_rng(0 if rng is None else rng)
-    drawn = _sample(len(chosen), generator)
-    if drawn.size < len(chosen):
+    drawn = np.arange(len(chosen))
+    if len(chosen) > MAX_ALL_PAIRS:
+        drawn = np.sort(generator.choice(len(chosen), SAMPLED, replace=False))
         notes += (
             f"Mantel r uses a random sample of {drawn.size} of the {len(chosen)} sensors compared",
         )
@@ -438,9 +439,3 @@ def _compared(
         if mask.any()
     )
     return np.flatnonzero(largest & included & known), notes
-
-
-def _sample(n_sensors: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    if n_sensors <= MAX_ALL_PAIRS:
-        return np.arange(n_sensors)
-    return np.sort(rng.choice(n_sensors, SAMPLED, replace=False))

@@ -116,7 +116,7 @@ def together() -> Iterator[_Moves]:
     try:
         yield moves
         for temporary, (place, target) in moves.items():
-            with _named_errors(target):
+            with named_errors(target):
                 temporary.replace(place)
     finally:
         _moves.reset(token)
@@ -125,7 +125,8 @@ def together() -> Iterator[_Moves]:
 
 
 @contextmanager
-def _named_errors(target: Path) -> Iterator[None]:
+def named_errors(target: Path) -> Iterator[None]:
+    """Name the file in errors of the operating system while it is written."""
     try:
         yield
     except OSError as error:
@@ -140,7 +141,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     mark = os.urandom(_MARK_BYTES).hex()
     place = _real(target)
     temporary = place.with_name(f".{target.stem[:_STEM]}-{mark}{target.suffix}")
-    with together() as moves, _named_errors(target):
+    with together() as moves, named_errors(target):
         moves[temporary] = place, target
         try:
             temporary.touch(exist_ok=False)

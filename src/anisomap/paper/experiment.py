@@ -11,6 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from anisomap.errors import InputError
+from anisomap.numerics.ranges import NOT_NEGATIVE
 
 Cell: TypeAlias = str | int | float
 Row: TypeAlias = tuple[Cell, ...]
@@ -51,8 +52,7 @@ class Settings:
     changes: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"seed must be at least 0, got {self.seed}")
+        NOT_NEGATIVE.check("seed", self.seed)
 
     @property
     def chosen(self) -> dict[str, float]:

@@ -22,8 +22,7 @@ from joblib import hash as digest
 from anisomap._version import __version__
 from anisomap.drawing.figures import figure_bytes
 from anisomap.drawing.report import templates
-from anisomap.errors import FileError
-from anisomap.files.paths import atomic_write
+from anisomap.files.paths import atomic_write, named_errors
 from anisomap.paper.experiment import Cell, Experiment, Picture, Result, Settings, Table
 
 PAGE = "index.html"
@@ -53,14 +52,12 @@ def save(folder: Path, name: str, found: Iterable[Result], inputs: str, seconds:
             contents[one.name] = one.text.encode()
     record["digests"] = {name: digest(content) for name, content in contents.items()}
     contents[RECORD] = (json.dumps(record, indent=1) + "\n").encode()
-    try:
+    with named_errors(target):
         if target.exists():
             shutil.rmtree(target)
         target.mkdir()
         for file, content in contents.items():
             (target / file).write_bytes(content)
-    except OSError as error:
-        raise FileError(f"cannot write {target}: {error.strerror or error}") from error
 
 
 def load(folder: Path, name: str, inputs: str) -> dict[str, Any] | None:

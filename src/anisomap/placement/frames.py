@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from anisomap.base import DEFAULT_METHOD, METRES
 from anisomap.errors import InputError
 from anisomap.numerics.neighbours import nearest_distances, padded
+from anisomap.numerics.ranges import POSITIVE
 from anisomap.numerics.surfaces import estimate_normals, frames_along
 from anisomap.sensor_map import MAX_COORDINATE, UNSCALED, SensorMap
 
@@ -131,8 +132,7 @@ def scaled_to_spacing(sensor_map: SensorMap, spacing: float, units: str) -> Sens
         If the map has no spacing (see `median_spacing`) or is in the frame of the robot, or
         `spacing` is not positive or is out of the range of floating-point numbers.
     """
-    if not (np.isfinite(spacing) and spacing > 0):
-        raise InputError(f"spacing must be a positive number, got {spacing:g}")
+    POSITIVE.check("spacing", spacing)
     if sensor_map.anchored:
         raise InputError("the map is in the frame of the robot, so it must not be scaled")
     factor = spacing / spacing_on_skin(sensor_map)

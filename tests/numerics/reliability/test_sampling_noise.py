@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial.distance import cdist, pdist
+from scipy.spatial.distance import cdist, pdist, squareform
 
 from anisomap.errors import InputError
 from anisomap.evaluation import mantel
@@ -329,12 +329,8 @@ def test_relabelling_sensors_relabels_links(short):
 def test_all_links_of_few_sensors_are_kept():
     readings = strip(700, 0, length=20)[1]
     similarity, variance = links_of(readings)
-    lengths = pdist(np.random.default_rng(0).uniform(size=(len(similarity), 2)))
-    apart = np.zeros_like(similarity)
-    apart[np.triu_indices(len(apart), 1)] = lengths
-    apart += apart.T
-    found = filtered(apart, similarity, variance)
-    np.testing.assert_array_equal(found, apart)
+    apart = squareform(pdist(np.random.default_rng(0).uniform(size=(len(similarity), 2))))
+    np.testing.assert_array_equal(filtered(apart, similarity, variance), apart)
 
 
 def grouped(readings):

@@ -102,14 +102,6 @@ def test_equal_weights_do_not_matter():
     )
 
 
-def test_connected_components_are_rejected():
-    distances = np.full((4, 4), np.inf)
-    distances[:2, :2] = distances[2:, 2:] = 1
-    np.fill_diagonal(distances, 0)
-    with pytest.raises(InputError, match="form 2 components"):
-        smacof(distances)
-
-
 @pytest.mark.parametrize("n_points", [12, DENSE_LIMIT + 10])
 def test_torgerson_equals_its_definition(n_points):
     points = np.random.default_rng(0).normal(size=(n_points, 4)) * [1, 2, 3, 4]

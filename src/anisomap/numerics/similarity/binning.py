@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anisomap.errors import InputError
 from anisomap.numerics.columns import columns
 from anisomap.numerics.precision import Floats
+from anisomap.numerics.ranges import Range
 
 DEFAULT_BINS = 4
 """Number of bins in the paper, which reports similar results for 6 and 8."""
 
-_MAX_BINS = 1024  # joint counts of more bins require over a million frames
+# Joint counts of more bins require over a million frames.
+_BINS = Range("an integer from 2 to 1024", lambda value: 2 <= value <= 1024, whole=True)
 _MAX_COST = 2.0**61  # of the integer costs of a division; their sums must fit in int64
 
 
@@ -35,15 +36,8 @@ def maximum_entropy_bins(counts: ArrayLike, bins: int = DEFAULT_BINS) -> NDArray
     (dynamic programming in O(b m log m)). Among equally good divisions, the one with the
     earliest last bin is taken.
     """
-    return _divide(np.asarray(counts, dtype=np.int64), _checked(bins))
-
-
-def _checked(bins: int) -> int:
-    if bins < 2:
-        raise InputError(f"bins must be at least 2, got {bins}")
-    if bins > _MAX_BINS:
-        raise InputError(f"bins must be at most {_MAX_BINS}, got {bins}")
-    return bins
+    _BINS.check("bins", bins)
+    return _divide(np.asarray(counts, dtype=np.int64), bins)
 
 
 def _divide(mass: NDArray[np.int64], bins: int) -> NDArray[np.intp]:
@@ -127,8 +121,8 @@ def maximum_entropy_codes(readings: ArrayLike, bins: int = DEFAULT_BINS) -> NDAr
 
     readings (T, N) -> (T, N), invariant under increasing transformations of a sensor.
     """
-    n_bins, values = _checked(bins), np.asarray(readings)
-    return np.array([_codes_of(column, n_bins) for column in columns(values)]).T
+    _BINS.check("bins", bins)
+    return np.array([_codes_of(column, bins) for column in columns(np.asarray(readings))]).T
 
 
 def _codes_of(column: NDArray[Any], bins: int) -> NDArray[np.uint16]:
