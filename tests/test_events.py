@@ -45,7 +45,7 @@ def test_equal_times_are_a_frame(events: list[tuple[int, int]]) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (([0, 1], [0]), "lists of equal length"),
+        (([0, 1], [0]), "a list of as many names"),
         (([0.5], [0.5]), "names or indices"),
         (([0, np.inf], [0, 1]), "time of event 1 is not finite"),
         (([0, 1], [0, -1], None, "ab"), "no sensor -1 among the 2 names"),

@@ -114,7 +114,7 @@ def test_dropping_frames_keeps_whole_frames_only(readings):
         np.testing.assert_array_equal(kept.times, np.flatnonzero(sound))
         assert np.isfinite(kept.readings).all()
     else:
-        with pytest.raises(InputError, match="every frame misses a reading"):
+        with pytest.raises(InputError, match="every frame has a missing reading"):
             Recording(readings).complete(missing="drop-frames")
 
 

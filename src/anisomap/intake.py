@@ -62,8 +62,8 @@ def take_events(
     at, active = np.asarray(times, dtype=np.float64), np.asarray(sensors)
     if at.ndim != 1 or at.shape != active.shape or not at.size or active.dtype.kind not in "iuU":
         raise InputError(
-            "times and sensors must be lists of equal length, of numbers and of names or indices, "
-            f"got {active.dtype} and the shapes {at.shape} and {active.shape}"
+            "times must be a list of numbers, and sensors a list of as many names or indices, got "
+            f"the shapes {at.shape} and {active.shape}, and sensors of type {active.dtype}"
         )
     if not np.isfinite(at).all():
         raise InputError(f"the time of event {int(np.argmin(np.isfinite(at)))} is not finite")

@@ -30,7 +30,7 @@ def check_names(names: Sequence[str], n_sensors: int) -> None:
         raise InputError(f"each sensor needs a name: sensors: {n_sensors:,}, names: {len(names):,}")
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
-        raise InputError(f"names must be unique; of several sensors: {join_items(repeated, 5)}")
+        raise InputError(f"names must be unique; repeated: {join_items(repeated, 5)}")
 
 
 def find_sensors(
@@ -102,8 +102,8 @@ def match_sensors(
     by_number = match_by_number(names, among)
     if by_number is not None:
         first = int(np.flatnonzero(by_number >= 0)[0])
-        pair = f"{names[first]} is {among[by_number[first]]}"
-        return by_number, (f"{what} share no sensor name: matched by number, {pair}",)
+        pair = f"{names[first]} to {among[by_number[first]]}"
+        return by_number, (f"{what} share no sensor name: matched by number, as {pair}",)
     sides = " and ".join(f"{side[0]} ... {side[-1]}" for side in (names, among))
     if not (_unnamed(names) or _unnamed(among)):
         raise InputError(f"{what} share no sensor name ({sides}); use the same names")

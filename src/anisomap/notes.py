@@ -73,11 +73,10 @@ def scaled_note(note: str, spacing: float, unit: str) -> str:
 
 
 def _components(sizes: Sequence[int], outside: Sequence[str]) -> str:
-    mostly = "most of the skin is not mapped: " if 2 * sizes[0] < sum(sizes) else ""
+    mostly = "no component contains most of the skin: " if 2 * sizes[0] < sum(sizes) else ""
     return (
-        f"{mostly}the sensors form {len(sizes)} separate components with unknown positions "
-        f"relative to one another; sizes: {join_items(sizes)}; outside the largest: "
-        f"{join_items(outside)}"
+        f"{mostly}the sensors form {len(sizes)} separate components, whose relative positions are "
+        f"unknown; sizes: {join_items(sizes)}; sensors outside the largest: {join_items(outside)}"
     )
 
 
@@ -94,7 +93,7 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
         ),
         "not-converged": lambda: "scaling stopped before it converged: allow more iterations",
         "not-refined": lambda method: (
-            f"the positions are not refined, because {method} needs the similarity for this"
+            f"the positions are not refined, because {method} needs similarities for this"
         ),
         "different-contacts": lambda share: (
             f"contacts differ from place to place ({share:.0%} of the variance of the correlations "
@@ -132,7 +131,8 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"unknown; {'touch the skin between them' if touched else 'record longer'}"
         ),
         "unlinked": lambda count, total: (
-            f"the correlations of {count} of {total} sensors do not exceed noise; record longer"
+            f"{count} of {total} sensors have no significant correlations with the other sensors; "
+            "record longer"
         ),
         "halves-disagree": lambda agreement, touched=True: (
             f"similarities differ between halves of the recording (correlation {agreement:.2f}): "
@@ -144,8 +144,7 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             "frames: such readings do not show which sensors are adjacent"
         ),
         "paired": lambda touched=True: (
-            "sensors pair off: most have one partner to which they are far more similar than to "
-            "the other sensors"
+            "sensors pair off: most are far more similar to one partner than to any other sensor"
             + (
                 ", as if two places were always touched together; touch each place separately"
                 if touched
@@ -169,10 +168,9 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             + (": contacts may differ in size from place to place" if much else "")
         ),
         "if-compact": lambda size, unit="spacings": (
-            "the sensors are unevenly spaced on the map, which a fold or long contacts can also "
-            "cause: if they are unevenly spaced on the skin, and all contacts were compact "
-            f"(fingertips or balls), positions are off by {size:.2f} {unit} "
-            "(--uneven --contacts compact)"
+            "the sensors are unevenly spaced on the map: if they are on the skin, too, and if all "
+            f"contacts were compact (fingertips or balls), positions are off by {size:.2f} {unit} "
+            "(--uneven --contacts compact); else the map may be folded or compressed"
         ),
         "compact": lambda size, unit="spacings": (
             f"positions are off by {size:.2f} {unit} if, as stated, sensors are unevenly spaced "
@@ -198,7 +196,7 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"the recordings have fewer than {least} sensors in common: map one of them"
         ),
         "few-sensors": lambda count, least, touched=True: (
-            f"{count} sensors are related, but a verdict needs {least}: "
+            f"only {count} sensors are related, but a verdict needs {least}: "
             + ("touch more of the skin" if touched else "record more sensors")
         ),
         "many-sensors": lambda most: (

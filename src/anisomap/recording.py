@@ -268,8 +268,8 @@ class Recording(Immutable):
         if not steps:
             return self
         warnings.warn(
-            "the level at rest of most sensors steps; the readings are taken relative to the level "
-            f"of each part; frames of steps: {join_items(steps, 5)}",
+            "the level at rest of most sensors jumps; the readings are taken relative to the level "
+            f"of each part; frames of jumps: {join_items(steps, 5)}",
             AnisomapWarning,
             stacklevel=2,
         )
@@ -367,7 +367,7 @@ class Recording(Immutable):
         silent = absent.all(axis=0)
         whole = ~absent[:, ~silent].any(axis=1)
         if not whole.any():
-            raise InputError("every frame misses a reading; interpolate, or drop the worst sensors")
+            raise InputError("every frame has a missing reading; interpolate, or drop sensors")
         kept = np.where(absent, 0, self.readings)[whole]
         times = None if self.times is None else self.times[whole]
         return replace(self, readings=kept, times=times)

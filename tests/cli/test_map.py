@@ -169,7 +169,7 @@ def test_a_map_of_few_of_the_sensors_is_not_called_a_perfect_fit(run, tmp_path):
     made = run("map", "short.npz", "-d", 2, "-o", "m.csv")
     assert "noise hides how" in made.err
     assert "Not usable: positions are off by about" in " ".join(made.out.split())
-    assert "sensors do not exceed noise" in " ".join(made.out.split())
+    assert "sensors have no significant correlations" in " ".join(made.out.split())
 
 
 def test_commands_say_where_to_touch_next(run, run_map, tmp_path):

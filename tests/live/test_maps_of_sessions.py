@@ -70,7 +70,7 @@ def test_the_headline_follows_the_state_of_the_session(tmp_path, monkeypatch):
     session.maps.quick = mapper_of(READINGS[:34]).make()
     assert session.guidance == session.maps.guidance
     monkeypatch.setattr(LiveSession, "lags", True)
-    assert session.guidance[0].startswith("Wait: the map lacks the last")
+    assert session.guidance[0].startswith("Wait: the map does not yet include")
     session.pause(True)
     assert session.guidance[0].startswith("Paused")
     session.ended.set()

@@ -171,5 +171,5 @@ def test_rows_of_a_matrix_that_rests_at_first_are_noticed():
     lines = "".join(",".join(map(str, row)) + "\n" for row in rows)
     items = parsed(*(lines[i : i + 999].encode() for i in range(0, len(lines), 999)))
     said = [item.text for item in items if isinstance(item, Notice)]
-    assert any(text.endswith("give --grid 3x4") for text in said)
+    assert any(text.endswith("start again with --grid 3x4") for text in said)
     assert readings(items) == rows

@@ -190,7 +190,7 @@ HOLED[7, 3] = np.nan
     [
         ({"recording": Recording(np.zeros((9, 5)))}, "got 0 of 5"),
         ({"recording": Recording(np.eye(9)[:, :2])}, "got 2 of 2"),
-        ({"recording": UNTOUCHED}, "of 3 needed"),
+        ({"recording": UNTOUCHED}, "but 3 are needed"),
         ({"method": "pca"}, "choose from covariogram"),
         ({"recording": "skin.csv"}, r"read the file first: anisomap.read\('skin.csv'\)"),
         ({"recording": SensorMap(np.eye(9)[:, :3])}, "a recording is required here, got a map"),
@@ -257,7 +257,7 @@ def all_alike(n_frames, n_sensors, noise=0.0):
 @pytest.mark.parametrize("method", ["covariogram", "r-anisomap", "i-anisomap"])
 @pytest.mark.parametrize("noise", [0.0, 1e-7])
 def test_sensors_that_all_read_the_same_are_refused(method, noise):
-    with pytest.raises(InputError, match="all sensors read the same"):
+    with pytest.raises(InputError, match="all sensors have the same readings"):
         reconstruct(all_alike(500, 12, noise), method)
 
 
@@ -279,7 +279,7 @@ def blocks_of(readings):
 @pytest.mark.parametrize("route", ROUTES)
 @pytest.mark.parametrize("n_sensors", [12, 200])
 def test_sensors_that_all_read_the_same_are_refused_on_every_route(route, n_sensors):
-    with pytest.raises(InputError, match="all sensors read the same"):
+    with pytest.raises(InputError, match="all sensors have the same readings"):
         quietly(ROUTES[route], all_alike(5000, n_sensors), "r-anisomap", 2)
 
 

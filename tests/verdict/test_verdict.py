@@ -322,7 +322,7 @@ def test_the_verdict_is_unknown_without_readings_or_refinement():
 def test_diagnosis_requires_the_sensors_of_the_map():
     skin = flat_skin(n_frames=300)
     made = reconstruct(skin, "r-anisomap", 2)
-    with pytest.raises(InputError, match="must have the sensors of the map"):
+    with pytest.raises(InputError, match="must have the same sensors"):
         diagnose(made, skin.select(range(40)))
 
 

@@ -121,7 +121,7 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     placed = (component != UNPLACED).all(axis=0)
     groups = _shared_components(component, placed)
     if not groups:
-        raise InputError(f"no {MIN_COMPARED} sensors to align the maps by are connected on both")
+        raise InputError(f"the maps share no component of {MIN_COMPARED} sensors to align them")
     level = LEVEL / sum(map(len, groups))
     distance, moved = np.full(len(names), np.nan), np.zeros(len(names), dtype=bool)
     limits = []

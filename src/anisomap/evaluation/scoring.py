@@ -154,7 +154,7 @@ def check_distances(positions: NDArray[np.float64], what: str) -> None:
     with np.errstate(over="ignore", under="ignore"):
         square = float(((placed.max(axis=0) - placed.min(axis=0)) ** 2).sum()) if len(placed) else 0
     if square == 0:
-        raise InputError(f"all sensors of {what} have the same position; there is no distance")
+        raise InputError(f"all sensors of {what} have the same position")
     if not np.isfinite(square):
         raise InputError(f"the distances of {what} are out of range; check its units")
 

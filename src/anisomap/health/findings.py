@@ -90,15 +90,15 @@ def _of_all(finding: Finding) -> str:
 
 def _copies(finding: Finding) -> str:
     noise = finding.values["noise"]
-    own = f", with up to {noise:.1%} of independent noise" if noise else ""
-    return f"{len(finding.sensors)} sensors read one wire{own}"
+    own = f", apart from up to {noise:.1%} of noise" if noise else ""
+    return f"{len(finding.sensors)} sensors have the same readings{own}, as if on one wire"
 
 
 def _left_out(finding: Finding) -> str:
     kept = finding.values["kept"]
     others = join_items([name for name in finding.sensors if name != kept])
     if kept is None:
-        return f"all were left out, because it is unknown which of {others} is real"
+        return f"all were left out, because it is unknown which of {others} is correct"
     return f"{kept} was kept; {others} were left out, because their positions are unknown"
 
 
@@ -115,8 +115,8 @@ def _regions(finding: Finding) -> str:
     (one, other), frame = finding.values["sizes"], finding.values["frame"]
     return (
         f"two regions of {one} and {other} sensors were touched one after the other, "
-        f"the second from frame {frame} on; sensors touched together with both: "
-        f"{round(finding.size)}"
+        f"the second from frame {frame} on; sensors that were touched together with both "
+        f"regions: {round(finding.size)}"
     )
 
 
@@ -129,7 +129,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
             "share",
             lambda f: f"{f.size:.0%} of the readings of {_of_all(f)} are missing",
             "contacts in the gaps are lost, so these sensors seem less similar to their neighbours",
-            lambda _: "these readings were estimated from the most similar sensors, or on lines",
+            lambda _: "these readings were estimated from similar sensors, or interpolated",
         ),
         "frozen": _Words(
             "share of the frames",
@@ -161,7 +161,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
             "share of the frames",
             lambda f: (
                 f"the readings of a group of {len(f.sensors)} sensors jump by "
-                f"{f.values['height']:.3g} in single frames, {f.size:.2%} of all frames"
+                f"{f.values['height']:.3g} and back in {f.size:.2%} of the frames"
             ),
             _ALIKE,
         ),
@@ -179,12 +179,12 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
                 f"readings of {_of_all(f)} are at the limit of the range in {f.size:.1%} of the "
                 "frames (median)"
             ),
-            "the heights of contacts are cut off",
+            "differences between strong contacts are lost",
         ),
         "inverted": _Words(
             "share",
             lambda f: f"contacts have the opposite sign in {_of_all(f)}",
-            "they look unrelated to their neighbours",
+            "these sensors look unrelated to their neighbours",
             lambda _: "these sensors were mirrored at their rest value",
         ),
         "leak": _Words(
@@ -198,7 +198,7 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
         "copies": _Words(
             "sensors",
             _copies,
-            "at most one of them is real; the copies distort the map around it",
+            "at most one of these sensors is real; the copies distort the map around it",
             _left_out,
         ),
         "changed": _Words(
@@ -207,8 +207,8 @@ _WORDS: Mapping[str, _Words] = MappingProxyType(
                 f"the neighbours of {len(f.sensors)} sensors change at about frame "
                 f"{f.values['frame']} of {f.values['n_frames']}"
             ),
-            "wires were exchanged, or the body took another posture; map the frames before and "
-            "after separately",
+            "wires were exchanged, or the posture changed; map the frames before and after "
+            "separately",
         ),
         "separate-regions": _Words(
             "sensors touched with both",

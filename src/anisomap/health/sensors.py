@@ -338,9 +338,9 @@ def _of_constant(recording: Recording, varying: NDArray[np.bool_]) -> dict[int, 
             rests.size and rests.min() - slack <= value <= rests.max() + slack
         )
         status, what = (
-            (SILENT, "a rest value of other sensors: never touched, or dead")
+            (SILENT, "like other sensors at rest: never touched, or dead")
             if resting
-            else ("stuck", "which is not a rest value of other sensors")
+            else ("stuck", "unlike other sensors at rest")
         )
         found[i] = status, f"constant at {value:g}, {what}"
     return found
@@ -348,7 +348,7 @@ def _of_constant(recording: Recording, varying: NDArray[np.bool_]) -> dict[int, 
 
 def _few_contacts(b: Behaviour) -> dict[int, str]:
     return {
-        i: f"number of contacts: {b.contacts[i]}; a position needs {MIN_CONTACTS}"
+        i: f"number of contacts: {b.contacts[i]}; a position needs at least {MIN_CONTACTS}"
         for i in np.flatnonzero(b.contacts < MIN_CONTACTS).tolist()
     }
 
@@ -423,8 +423,8 @@ def _saturating(b: Behaviour) -> dict[int, str]:
         & (b.signals.rest.distinct > 2)
     )
     return {
-        i: f"at its extreme reading in {share[i]:.0%} of its active frames (typical: "
-        f"{np.median(share):.0%}), while similar sensors are not"
+        i: f"at its highest or lowest reading in {share[i]:.0%} of its active frames, unlike "
+        f"similar sensors (typical: {np.median(share):.0%})"
         for i in np.flatnonzero(b.unlike & often).tolist()
     }
 
@@ -432,7 +432,7 @@ def _saturating(b: Behaviour) -> dict[int, str]:
 def _isolated(b: Behaviour) -> dict[int, str]:
     typical = float(np.median(np.nan_to_num(b.best_match)))
     return {
-        i: f"less similar to other sensors than most sensors: highest r {b.best_match[i]:.2f} "
+        i: f"less similar to other sensors than most sensors are: highest r {b.best_match[i]:.2f} "
         f"(typical: {typical:.2f})"
         for i in np.flatnonzero(b.unlike).tolist()
     }

@@ -230,7 +230,7 @@ class Recorder:
             fresh = np.flatnonzero(absent.any(axis=0) & ~self._missing)
             self._missing[fresh] = True
             if names := [self.segments[-1].names[i] for i in fresh]:
-                self._notify(f"{join_items(names, 3)} sent no number; maps interpolate readings")
+                self._notify(f"{join_items(names, 3)} sent no number; maps use interpolation")
 
     def _times(self, batch: Batch, now: float) -> NDArray[np.float64]:
         """Return increasing times of frames in seconds since the first one."""
@@ -247,7 +247,7 @@ class Recorder:
                 self.seconds = float(times[-1])
                 return times
             if not first and times[0] <= last - _SILENCE_S:
-                self._notify("the clock of the source went back; its times are shifted")
+                self._notify("the clock of the source went back; later times are shifted")
         if self.n_frames == 0:
             self._began = now
             times = np.asarray(_TICK * np.arange(n_frames))

@@ -436,7 +436,7 @@ class LiveSession:
         if self.recorder.n_frames == 0:
             return "Waiting for the first frame", False
         if self.lags:
-            return f"Wait: the map lacks the last {self.map_age:.0f} s", False
+            return f"Wait: the map does not yet include the last {self.map_age:.0f} s", False
         return self.maps.guidance
 
     @property

@@ -213,7 +213,7 @@ class Worker:
             ended = f"the process of {self._role} maps ended"
             if self._restarts > _MAX_RESTARTS:
                 self.gone = True
-                self._receive(Answer(problem=f"{ended}; there are no more", final=True))
+                self._receive(Answer(problem=f"{ended}, too often to restart it", final=True))
                 return
             self._receive(Answer(problem=f"{ended} and is started again"))
             with self._lock, suppress(OSError):

@@ -51,8 +51,8 @@ def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
     """Compute a similarity, a key of `SUMMED`, of a Dask array of finite readings (T, N)."""
     if similarity not in SUMMED:
         raise InputError(
-            f"{similarity} needs all readings at once: choose another method, such as r-anisomap, "
-            "or sample frames that fit in memory, as by readings[::10].compute()"
+            f"{similarity} needs all readings in memory: choose another method, such as r-anisomap,"
+            " or sample frames that fit in memory, as by readings[::10].compute()"
         )
     blocks = _frames_of(readings)
     check_pair_memory(readings.shape[1], refined=False)
@@ -65,9 +65,8 @@ def sum_blocks(readings: Any, similarity: str, bins: int) -> SummedSimilarity:
         summand = prepare(values, bins)
         if not values.exact:
             notes = (
-                f"more than {values.max_values} distinct values were rounded for bins, ranks and "
-                f"rest values: in {np.count_nonzero(values.n_rounded_bits)} of {values.n_sensors} "
-                "sensors",
+                f"{(values.n_rounded_bits > 0).sum()} of {values.n_sensors} sensors have more than "
+                f"{values.max_values} distinct values, which were rounded for bins, ranks and rest",
             )
     total = _total(blocks, summand)
     varying = np.diag(total.products) > 0 if values is None else values.varying()

@@ -219,7 +219,7 @@ def check_size(
     if n_sensors < least:
         raise InputError(f"a map needs {least} sensors that vary, got {n_sensors} of {total}")
     if dimensions != AUTO and dimensions > n_sensors:
-        raise InputError(f"a map in {dimensions} dimensions needs as many sensors, got {n_sensors}")
+        raise InputError(f"a {dimensions}D map needs {dimensions} sensors, got {n_sensors}")
     k = PLANE if dimensions == AUTO else dimensions
     if n_frames is not None and n_frames < k + 2:
         raise InputError(f"a map in {k} dimensions requires {k + 2} frames, got {n_frames}")

@@ -270,8 +270,8 @@ def check_unlike(*runs: Any, rows_of: Callable[[Any], NDArray[Any]] = centred_ro
         if (np.abs(signs * rows - rows[0]) > _ALIKE).any():
             return
     raise InputError(
-        "all sensors read the same, but for offset and gain, so their readings do not show where "
-        "they are; touch one place after another"
+        "all sensors have the same readings, apart from offset and gain, so the readings do not "
+        "show where the sensors are; touch one place after another"
     )
 
 

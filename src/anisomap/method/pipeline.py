@@ -335,7 +335,7 @@ def _map(task: Task, stack_level: int) -> tuple[SensorMap, _Placed]:
     placed = configuration, choice, _ = _placed(task)
     least, largest = task.options.min_sensors, np.count_nonzero(configuration.component == 0)
     if largest < least:
-        raise InputError(f"only {largest} sensors are related, of {least} needed; touch more skin")
+        raise InputError(f"only {largest} sensors are related, but {least} are needed; touch more")
     names = [task.names[i] for i in np.flatnonzero(task.mapped).tolist()]
     facts = parameters_of(task.method, task.options, len(names))
     facts |= {} if choice.given else choice.facts(objects=task.objects)
@@ -416,7 +416,7 @@ def _as_matrix(matrix: ArrayLike | None, name: str, n_sensors: int | None = None
     if dtype == np.float32 and values.dtype == np.float64:
         largest = float(values.max(where=np.isfinite(values), initial=0))
         if largest and not 1 / _MAX_SINGLE < largest < _MAX_SINGLE:
-            raise InputError(f"the {name} {largest:g} exceeds single precision: divide by it")
+            raise InputError(f"the {name} {largest:g} exceeds single precision; divide all by it")
     return np.asarray(values, dtype)
 
 

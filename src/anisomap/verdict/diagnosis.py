@@ -133,8 +133,8 @@ def diagnose(
     joined = join_runs(recording)
     if joined.names != sensor_map.names:
         raise InputError(
-            f"the recording must have the sensors of the map, {sensor_map.n_sensors} sensors from "
-            f"{sensor_map.names[0]!r} on, got {joined.n_sensors} from {joined.names[0]!r} on"
+            f"recording and map must have the same sensors, got {joined.n_sensors} from "
+            f"{joined.names[0]!r} on and {sensor_map.n_sensors} from {sensor_map.names[0]!r} on"
         )
     assessed = assess(joined) if health is None else tuple(health)
     unused = joined.varying() & ~sensor_map.placed  # sensors that were dropped from the map

@@ -77,7 +77,7 @@ class LineParser:
         if lines and self._overlong:  # the end of a line whose beginning was discarded
             self._overlong = False
             del lines[0]
-            yield Notice(f"ignored a line without a frame: it has more than {MAX_LINE} bytes")
+            yield Notice(f"ignored a line of more than {MAX_LINE} bytes")
         texts = [plain(line.decode("utf-8-sig", "replace") + "\n") for line in lines]
         if cut and lines and tables.is_short([*self._last, *texts]):
             yield Notice(f"ignored the last line, which is cut: {quote(texts.pop())}")
@@ -108,7 +108,7 @@ class LineParser:
                 return
             self._reader, self._n_filled = None, 0  # a board that restarted with other names
             shown = quote(lines[0].strip())
-            yield Notice(f"lines of another kind begin, with {shown}: they are read anew")
+            yield Notice(f"lines of another kind begin: {shown}")
         self._since = self._since if self._n_filled else time.monotonic()
         self._held += lines
         self._n_filled += sum(not tables.is_apart(line) for line in lines)
@@ -167,7 +167,7 @@ class _Reader:
                 size = f"{options.grid[0]} x {options.grid[1]}"
                 raise InputError(f"lines of {stream.n_sensors} readings do not fill a {size} grid")
         if stream.n_sensors < MIN_SENSORS:
-            raise InputError("no line of two readings or more")
+            raise InputError("no line has two readings or more")
 
     def begin(self, waited: float, *, ended: bool = False) -> Iterator[Item]:
         """Parse the first lines, which arrived within `waited` seconds."""
@@ -193,7 +193,7 @@ class _Reader:
             yield from self._look_again(block.readings)
             if times is not None and not self._is_late and (np.diff(times) <= 0).any():
                 self._is_late = True
-                yield Notice("times do not increase; those of arrival take their place")
+                yield Notice("times do not increase; times of arrival are used instead")
         if ended and (doubt := doubt_of_rows(self._stream, self._n_seen)):
             yield Notice(doubt)
         if self._left.n_left > self._n_told and not self.others:
@@ -209,7 +209,7 @@ class _Reader:
                 self._seen = []
                 if height:
                     size = f"--grid {height}x{readings.shape[1]}"
-                    yield Notice(f"{height} lines seem to be a frame: end the session, give {size}")
+                    yield Notice(f"{height} lines seem to be a frame: start again with {size}")
 
     def _rows(self, *, repeats: bool = False) -> Iterator[tuple[NDArray[np.float64], float]]:
         """Yield the rows of received lines, possibly none, indefinitely."""
