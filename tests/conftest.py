@@ -38,3 +38,15 @@ def hard_recordings_folder() -> Path:
     if not folder.is_dir():
         pytest.skip("the hard recordings are not here (set ANISOMAP_SHARED to their parent folder)")
     return folder
+
+
+@pytest.fixture
+def machine_with(monkeypatch):
+    """Return a function that sets the physical memory that the operating system reports."""
+    ask = os.sysconf
+
+    def set_memory(n_bytes):
+        answers = {"SC_PAGE_SIZE": 1, "SC_PHYS_PAGES": n_bytes}
+        monkeypatch.setattr(os, "sysconf", lambda name: answers.get(name) or ask(name))
+
+    return set_memory

@@ -1,25 +1,11 @@
 """Computations that do not fit into memory are refused before they start."""
 
-import os
-
 import numpy as np
 import pytest
 
 from anisomap import MethodOptions, reconstruct, reconstruct_from
 from anisomap.errors import InputError
 from anisomap.numerics.precision import check_pair_memory
-
-
-@pytest.fixture
-def machine_with(monkeypatch):
-    """Return a function that sets the physical memory that the operating system reports."""
-    ask = os.sysconf
-
-    def set_memory(n_bytes):
-        answers = {"SC_PAGE_SIZE": 1, "SC_PHYS_PAGES": n_bytes}
-        monkeypatch.setattr(os, "sysconf", lambda name: answers.get(name) or ask(name))
-
-    return set_memory
 
 
 def test_20000_sensors_fit_into_24_gib_and_100000_do_not(machine_with):

@@ -11,8 +11,7 @@ import pytest
 import anisomap
 from skins import flat_skin
 
-PAGE = Path(__file__).parents[1] / "SECURITY.md"
-TESTS = Path(__file__).parent
+ROOT = Path(__file__).parents[1]
 
 # Python reports these events to audit hooks: https://docs.python.org/3/library/audit_events.html
 WATCHED = """
@@ -93,18 +92,12 @@ def test_commands_start_nothing_connect_nowhere_and_write_only_what_is_asked(
     assert {path.name for path in folder.iterdir()} - before == written
 
 
-def promised():
-    """Return the tests that the page names, as file and function."""
-    return re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", PAGE.read_text(encoding="utf-8"))
-
-
 def test_each_promise_names_tests_that_exist():
-    rows = re.findall(
-        r"^\| (?!promise|-)(.+?) \| (.+?) \|$", PAGE.read_text(encoding="utf-8"), re.M
-    )
+    page = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (?!promise|-)(.+?) \| (.+?) \|$", page, re.M)
     assert len(rows) >= 10
     for promise, tests in rows:
         assert "::" in tests, promise
-    for file, function in promised():
-        content = (TESTS.parent / file).read_text(encoding="utf-8")
+    for file, function in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page):
+        content = (ROOT / file).read_text(encoding="utf-8")
         assert re.search(rf"^ *(def|class) {function}\b", content, re.M), f"{file}::{function}"

@@ -172,12 +172,10 @@ def test_an_unexpected_error_is_reported_as_a_defect(skin_csv, monkeypatch, caps
     assert "Traceback" not in said
 
 
-def test_too_many_sensors_are_refused_before_they_are_compared(tmp_path, monkeypatch):
+def test_too_many_sensors_are_refused_before_they_are_compared(tmp_path, machine_with):
     """Comparing a million sensors with one another takes hours, and their map terabytes."""
     np.savez_compressed(tmp_path / "many.npz", readings=np.eye(20, 100_000, dtype=np.uint8))
-    answers = {"SC_PAGE_SIZE": 1, "SC_PHYS_PAGES": 24 << 30}
-    ask = os.sysconf
-    monkeypatch.setattr(os, "sysconf", lambda name: answers.get(name) or ask(name))
+    machine_with(24 << 30)
     for command in ("info", "map"):
         told = refused(tmp_path, command, "many.npz")
         assert "100000 sensors needs about 298.0 GiB of memory" in told

@@ -137,20 +137,14 @@ def test_a_command_outlives_its_terminal_if_it_is_started_by_nohup(folder):
 
 
 @pytest.mark.parametrize(("number", "said"), [(signal.SIGINT, [REPORT]), (signal.SIGTERM, [])])
-def test_a_signal_while_writing_leaves_nothing_half_written(folder, number, said):
-    code, found = at_event(folder, CONVERT, number, COMPLETE)
-    assert (code, errors_in(found)) == (128 + number, said)
-    assert not temporary(folder)
-    assert (folder / "m.urdf").read_text() == OLD
-
-
-def test_a_signal_while_writing_leaves_all_outputs_old(folder):
+def test_a_signal_while_writing_leaves_all_outputs_old(folder, number, said):
     outputs = [folder / f"m-{i}.csv" for i in (1, 2, 3)]
     for path in outputs:
         path.write_text(OLD)
     command = ["place", "map.json", "--spacing", "5mm"]
     command += [word for path in outputs for word in ("-o", path.name)]
-    assert at_event(folder, command, signal.SIGINT, COMPLETE)[0] == 130
+    code, found = at_event(folder, command, number, COMPLETE)
+    assert (code, errors_in(found)) == (128 + number, said)
     assert [path.read_text() for path in outputs] == [OLD] * 3
     assert not temporary(folder)
     assert at_event(folder, command, COUNT, "none")[0] == 0

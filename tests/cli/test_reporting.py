@@ -163,12 +163,11 @@ needs_full = pytest.mark.skipif(
 
 @needs_full
 def test_a_full_standard_output_is_an_error_after_files_are_written(folder, capsys):
-    output = "full.csv"
     with chdir(folder), Path("/dev/full").open("w") as full, redirect_stdout(full):
-        assert app.run([*MAP.split(), "-o", output]) == 2
+        assert app.run([*MAP.split(), "-o", "full.csv"]) == 2
     said = capsys.readouterr().err
     assert said == "error: cannot write to standard output: No space left on device\n"
-    assert (folder / output).read_text()
+    assert (folder / "full.csv").read_text()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="closes streams in a shell of Unix")

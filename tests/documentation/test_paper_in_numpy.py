@@ -15,11 +15,11 @@ from anisomap.numerics.similarity.information import mutual_information
 from anisomap.paper.cases import METHODS
 
 PAGE = Path(__file__).parents[2] / "docs" / "explanation" / "paper-in-numpy.md"
+CODE, EXAMPLE = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
 
 
 def test_the_example_prints_the_same_scores_twice(capsys):
-    code, example = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
-    exec(code + example, {})  # noqa: S102
+    exec(CODE + EXAMPLE, {})  # noqa: S102
     printed = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [method for method, _, _ in printed] == list(METHODS)
     for _, page, package in printed:
@@ -28,9 +28,8 @@ def test_the_example_prints_the_same_scores_twice(capsys):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_metrics_and_maps_are_equal(seed):
-    code, _ = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     page = {}
-    exec(code, page)  # noqa: S102
+    exec(CODE, page)  # noqa: S102
     rng = np.random.default_rng(seed)
     places, contacts = rng.random((24, 2)), rng.random((500, 2))
     distances = np.linalg.norm(contacts[:, None] - places, axis=2)

@@ -1,7 +1,6 @@
 """Growth of the work, counted in operations: unlike seconds, independent of the machine."""
 
 import numpy as np
-import pytest
 from benchmarks.harness import growth_exponent
 from benchmarks.skins.inputs import flat_skin
 
@@ -11,19 +10,9 @@ from anisomap.numerics.scaling.multidimensional_scaling import smacof, torgerson
 SIZES = (200, 400, 700)
 
 
-@pytest.fixture(scope="module")
-def skins():
-    return {size: flat_skin(size) for size in SIZES}
-
-
-@pytest.fixture(scope="module")
-def metrics(skins):
-    return {size: metricise(lengths) for size, lengths in skins.items()}
-
-
-def test_few_steps_of_lbfgs_reach_the_minimum(metrics):
+def test_few_steps_of_lbfgs_reach_the_minimum():
     flat, bent = [], []
-    for metric in metrics.values():
+    for metric in map(metricise, map(flat_skin, SIZES)):
         for needed, dimensions in ((flat, 2), (bent, 3)):
             found = smacof(metric, start=torgerson(metric, dimensions))
             needed.append(int(np.flatnonzero(found.trace <= 1.001 * found.raw_stress)[0]))

@@ -10,6 +10,7 @@ from anisomap import Recording, diagnose, reconstruct
 from anisomap.method.refinement import MIN_SENSORS, refine
 from anisomap.numerics.covariogram.objective import CovariogramOptions
 from anisomap.numerics.scaling.multidimensional_scaling import smacof
+from anisomap.simulation.bodies import sphere
 from skins import flat_skin, lattice, likeness, mantel_r, quietly, rubbed, stages, stored
 
 
@@ -87,17 +88,14 @@ def test_compressed_maps_of_rolling_bodies_are_not_called_usable(seed):
     assert made.verdict.level != "usable"
 
 
-def noisy_sphere(noise, seed, n_sensors=60, n_frames=1500):
+def noisy_sphere(noise, seed):
     """Return readings of a sphere under one round contact a frame, and white noise."""
     rng = np.random.default_rng(seed)
-    k = np.arange(n_sensors) + 0.5
-    height, turn = 1 - 2 * k / n_sensors, np.pi * (1 + 5**0.5) * k
-    round_ = np.sqrt(1 - height**2)
-    places = np.column_stack([round_ * np.cos(turn), round_ * np.sin(turn), height])
-    touch = rng.normal(size=(n_frames, 3))
+    places = sphere().positions
+    touch = rng.normal(size=(1500, 3))
     touch /= np.linalg.norm(touch, axis=1, keepdims=True)
     pressed = np.maximum(0, 1 - np.linalg.norm(touch[:, None] - places, axis=2) / 0.6)
-    pressed *= rng.gamma(6, 1 / 6, (n_frames, 1))
+    pressed *= rng.gamma(6, 1 / 6, (1500, 1))
     deep = np.quantile(pressed[pressed > 0], 0.9)
     readings = pressed / deep + noise * rng.normal(size=pressed.shape)
     return Recording(readings.astype(np.float32), positions=places)

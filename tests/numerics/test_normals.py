@@ -8,14 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from anisomap.errors import InputError
 from anisomap.numerics.surfaces import estimate_normals
-
-
-def sphere(n_points: int) -> np.ndarray:
-    turn = np.arange(n_points)
-    height = 1 - (2 * turn + 1) / n_points
-    ring = np.sqrt(1 - height**2)
-    angle = np.pi * (3 - np.sqrt(5)) * turn
-    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), height])
+from anisomap.simulation.bodies import sphere
 
 
 def cylinder(n_around: int, n_along: int) -> tuple[np.ndarray, np.ndarray]:
@@ -35,7 +28,7 @@ def degrees(found: np.ndarray, expected: np.ndarray) -> np.ndarray:
 def test_normals_of_a_sphere_point_outwards(seed: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
     turn, shift = Rotation.from_quat(rng.normal(size=4)), rng.normal(size=3)
-    outward = turn.apply(sphere(300))
+    outward = turn.apply(sphere(300).normals.copy())
     normals, reliable = estimate_normals(radius * outward + shift)
     assert reliable.all()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
@@ -67,7 +60,7 @@ def test_normals_of_a_plane_are_equal() -> None:
 
 
 def test_relabelling_points_relabels_normals() -> None:
-    points = sphere(120)
+    points = sphere(120).normals
     order = np.random.default_rng(0).permutation(120)
     np.testing.assert_allclose(
         estimate_normals(points[order])[0], estimate_normals(points)[0][order], atol=1e-9

@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from dataclasses import replace
 
@@ -20,7 +19,7 @@ from anisomap.paper import EXPERIMENTS, Settings, reproduce, results, runner
 from anisomap.paper.cases import PATCH, patch_run
 from anisomap.simulation.kinematic import RubbingOptions
 from anisomap.simulation.options import options_for
-from live_processes import LONGEST_S
+from live_processes import wait_until
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -116,10 +115,10 @@ def test_a_killed_run_leaves_no_processes(tmp_path):
     command += ["--only", "settings-bombardment-0", "--only", "text-s3"]
     watched = {"env": os.environ | {"LOKY_MAX_CPU_COUNT": "2"}, "start_new_session": True}
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, **watched)
-    until((tmp_path / "out" / "text-s3" / results.RECORD).exists)
+    wait_until((tmp_path / "out" / "text-s3" / results.RECORD).exists)
     process.kill()
     process.wait()
-    until(lambda: not exists(process.pid))
+    wait_until(lambda: not exists(process.pid))
 
 
 def exists(group):
@@ -128,14 +127,6 @@ def exists(group):
         os.killpg(group, 0)
         return True
     return False
-
-
-def until(condition):
-    for _ in range(int(LONGEST_S / 0.1)):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it did not happen")
 
 
 @pytest.mark.slow

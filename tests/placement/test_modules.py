@@ -5,6 +5,7 @@ import pytest
 from benchmarks.skins.corrections import read_corrected
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
 
 from anisomap import SensorMap, align, io, reconstruct
@@ -33,17 +34,12 @@ def skin(seed, k=2, rows=3, columns=4, roof=False):
     points = []
     for row in range(rows):
         for column in range(columns):
-            angle = rng.uniform(0, 2 * np.pi)
-            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-            flat = np.column_stack([pads[:, :2] @ turn.T, pads[:, 2]])
+            turned = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).apply(pads)
             if k == 2:
-                points.append(flat[:, :2] + [16 * column, 16 * row])
-                continue
-            tilt = 16 * column / 30.0
-            frame = np.array(
-                [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]]
-            )
-            points.append((flat + np.array([0, 16 * row, 30])) @ frame.T)
+                points.append(turned[:, :2] + [16 * column, 16 * row])
+            else:
+                around = Rotation.from_euler("y", 16 * column / 30)
+                points.append(around.apply(turned + np.array([0, 16 * row, 30])))
     return np.vstack(points), pads
 
 

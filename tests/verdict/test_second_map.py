@@ -9,6 +9,7 @@ from scipy.spatial.distance import cdist
 
 from anisomap.numerics.graph.dissimilarity import partial_correlation
 from anisomap.numerics.reliability.sampling_noise import blended_correlation
+from anisomap.simulation.bodies import sphere
 from anisomap.verdict.second_map import adjacency_graph, spacing_varies
 from skins import lattice, rubbed
 
@@ -71,12 +72,10 @@ def test_two_sensors_are_linked_even_if_they_are_opposites(sign):
 
 @given(st.integers(25, 200))
 def test_an_even_sphere_is_not_crowded_but_one_with_a_dense_half(count):
-    heights, turns = np.linspace(1, -1, count + 2)[1:-1], np.pi * (3 - 5**0.5) * np.arange(count)
-    around = np.sqrt(1 - heights**2) * np.exp(1j * turns)
-    sphere = np.column_stack([around.real, around.imag, heights])
-    assert not spacing_varies(sphere)[1]
-    sphere[: count // 2] = [0, 0, 1] + 0.3 * (sphere[: count // 2] - [0, 0, 1])
-    assert spacing_varies(sphere)[1]
+    places = sphere(count).positions.copy()
+    assert not spacing_varies(places)[1]
+    places[: count // 2] = [0, 0, 1] + 0.3 * (places[: count // 2] - [0, 0, 1])
+    assert spacing_varies(places)[1]
 
 
 def test_only_edges_of_the_tree_have_much_stronger_detours():
