@@ -181,9 +181,9 @@ WORDINGS: Mapping[str, Callable[..., str]] = MappingProxyType(
             f"{size:.2f} {unit}; choose the number of dimensions (-d 2 or -d 3)"
         ),
         "if-bent": lambda size, unit="spacings": (
-            "a third dimension hardly improves the fit but changes the map: if the skin is bent in "
-            f"two directions, positions are off by {size:.2f} {unit}; choose the number of "
-            "dimensions (-d 2 or -d 3)"
+            f"a third dimension hardly improves the fit, and changes the map by {size:.2f} {unit}: "
+            "if the skin may be bent in two directions, choose the number of dimensions (-d 2 or "
+            "-d 3)"
         ),
         "chosen-dimensions": lambda: (
             "the number of dimensions was chosen from readings that do not determine the shape: "

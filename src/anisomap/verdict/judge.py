@@ -178,9 +178,8 @@ class Measurements:
 
     @property
     def conditional(self) -> bool:
-        """Whether the less likely number of dimensions results in a different map."""
-        differ = not self.spatial and self.between > self.error.value
-        return self.between > 0 and (differ or self.unclear or self.doubt == 1)
+        """Whether the other number of dimensions remains possible, and results in another map."""
+        return self.between > 0 and (self.unclear or not self.spatial)
 
     @property
     def untold(self) -> tuple[Note, ...]:
