@@ -103,7 +103,7 @@ def match_sensors(
     if by_number is not None:
         first = int(np.flatnonzero(by_number >= 0)[0])
         pair = f"{names[first]} to {among[by_number[first]]}"
-        return by_number, (f"{what} share no sensor name: matched by number, as {pair}",)
+        return by_number, (f"{what} share no sensor name: matched by number, such as {pair}",)
     sides = " and ".join(f"{side[0]} ... {side[-1]}" for side in (names, among))
     if not (_unnamed(names) or _unnamed(among)):
         raise InputError(f"{what} share no sensor name ({sides}); use the same names")

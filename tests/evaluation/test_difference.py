@@ -145,7 +145,7 @@ def test_maps_that_cannot_be_compared_are_refused():
     before, after, _ = two_maps(2)
     with pytest.raises(InputError, match="cannot be matched with 3 by order"):
         compare_maps(SensorMap(before), SensorMap(after[:3], names="abc"))
-    with pytest.raises(InputError, match="the maps share no component"):
+    with pytest.raises(InputError, match="common sensors in one component"):
         compare_maps(SensorMap(before[:5]), SensorMap(after[:5]))
     named = SensorMap(after, names=[f"other{i}" for i in range(len(after))])
     assert compare_maps(SensorMap(before), named).notes == (

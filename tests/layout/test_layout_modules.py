@@ -308,7 +308,7 @@ def test_the_display_of_a_real_robot_is_corrected_as_its_later_revision(recordin
     found = check_layout(
         stated, recording, modules=find_modules(stated, 12).with_template(template)
     )
-    assert "matched by number, as b0.t0.k0 to taxel1537" in found.notes[0]
+    assert "matched by number, such as b0.t0.k0 to taxel1537" in found.notes[0]
     first, ours = later.select(np.arange(10)), found.corrected.select(np.arange(10))
     assert ours.names == first.names
     np.testing.assert_allclose(

@@ -77,8 +77,8 @@ def test_what_cannot_be_summed_is_refused():
     missing = readings.copy()
     missing[700, 5] = np.nan
     for array, told in (
-        (in_blocks(missing, 500), "sensor 5 is NaN or above"),
-        (in_blocks(1e200 * readings, 500), "is NaN or above 1e"),
+        (in_blocks(missing, 500), "sensor 5 reads NaN or above"),
+        (in_blocks(1e200 * readings, 500), "reads NaN or above 1e"),
         (da.from_array(readings[:, 0]), r"\(T, N\) real numbers"),
         (in_blocks(readings.astype(complex), 500), r"\(T, N\) real numbers"),
         (in_blocks(readings[:3], 2), "requires 4 frames"),

@@ -104,7 +104,7 @@ def test_other_ways_to_a_map_choose_as_well():
 
 @pytest.mark.parametrize("dimensions", [0, -1, 1.5, "flat", None])
 def test_other_numbers_are_refused(dimensions):
-    with pytest.raises(InputError, match="dimensions must be auto or a whole number from 1 on"):
+    with pytest.raises(InputError, match="dimensions must be auto or a whole number above 0"):
         reconstruct(flat_skin(), dimensions=dimensions)
 
 

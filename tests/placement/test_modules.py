@@ -224,7 +224,7 @@ def test_ambiguous_and_impossible_divisions_are_refused():
     for names, size, message in (
         (["s1", "s2"], 3, "may start at number 0 or 1"),
         (["a", "b"], 3, "no name has one"),
-        (["a1", "b1"], 3, "numbers of several sensors: 1"),
+        (["a1", "b1"], 3, "repeated numbers: 1"),
         (["a1"], 1, "at least 2 pads, got 1"),
     ):
         with pytest.raises(InputError, match=message):

@@ -121,7 +121,7 @@ def compare_maps(before: SensorMap, after: SensorMap) -> Difference:
     placed = (component != UNPLACED).all(axis=0)
     groups = _shared_components(component, placed)
     if not groups:
-        raise InputError(f"the maps share no component of {MIN_COMPARED} sensors to align them")
+        raise InputError(f"the maps have no {MIN_COMPARED} common sensors in one component")
     level = LEVEL / sum(map(len, groups))
     distance, moved = np.full(len(names), np.nan), np.zeros(len(names), dtype=bool)
     limits = []

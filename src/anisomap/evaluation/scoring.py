@@ -103,7 +103,7 @@ def align(positions: ArrayLike, truth: ArrayLike) -> Alignment:
     """
     x, y = np.array(positions, dtype=np.float64), np.array(truth, dtype=np.float64)
     if x.ndim != 2 or y.ndim != 2 or len(x) != len(y):
-        raise InputError(f"positions and truth must have equal rows, got {x.shape} and {y.shape}")
+        raise InputError(f"positions and truth must have as many rows, got {x.shape} and {y.shape}")
     dimensions = max(x.shape[1], y.shape[1])
     x, y = padded(x, dimensions), padded(y, dimensions)
     for points, where in ((x, "on the map"), (y, "in truth")):

@@ -105,7 +105,7 @@ def _sum_of(block: NDArray[Any], summand: Summand) -> Sum | None:
         return None
     faulty = np.flatnonzero(~(np.abs(block.astype(np.float64)) <= MAX_READING).all(axis=0))
     if faulty.size:
-        raise InputError(f"sensor {faulty[0]} is NaN or above {MAX_READING:g}; fill it first")
+        raise InputError(f"sensor {faulty[0]} reads NaN or above {MAX_READING:g}; fill it first")
     found: Sum = summand(block)
     return found
 

@@ -203,7 +203,7 @@ def _is_curve(positions: Reals, line: Reals) -> bool:
 def check_dimensions(dimensions: Dimensions) -> None:
     """Check a number of dimensions."""
     if dimensions != AUTO and (not isinstance(dimensions, int | np.integer) or dimensions < 1):
-        raise InputError(f"dimensions must be auto or a whole number from 1 on, got {dimensions!r}")
+        raise InputError(f"dimensions must be auto or a whole number above 0, got {dimensions!r}")
 
 
 def check_size(

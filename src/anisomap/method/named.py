@@ -173,7 +173,7 @@ def _information_distance(evidence: Evidence, _: MethodOptions) -> Reals:
 def _direct(evidence: Evidence, options: MethodOptions) -> Reals:
     largest = np.abs(evidence.similarity).max(initial=0)
     if largest > 1 + _ROUNDING:
-        raise InputError(f"correlations must be in [-1, 1], not {largest:g}; r-anisomap takes any")
+        raise InputError(f"correlations must be in [-1, 1], not {largest:g}; r-anisomap allows any")
     if evidence.known.mean() < _MIN_KNOWN:
         return regularised_reciprocal(evidence.similarity, options.regularisation)
     direct = direct_dissimilarity(evidence.similarity, evidence.variance)

@@ -130,7 +130,7 @@ class Modules(Immutable):
             If the template has no unit of length, does not have 2 or 3 dimensions, or lacks a pad.
         """
         if template.units not in METRES:
-            raise InputError(f"the template needs a unit, x [mm], got {template.units or 'none'}")
+            raise InputError(f"the template needs a unit (x [mm]), got {template.units or 'none'}")
         numbers = trailing_numbers(template.names)
         if None in numbers or len(set(numbers)) < len(numbers):
             numbers = tuple(range(template.n_sensors))
@@ -182,7 +182,7 @@ def modules_by_size(names: Sequence[str], size: int, first: int | None = None) -
     repeated = [n for n, count in Counter(numbers[numbered].tolist()).items() if count > 1]
     if repeated:
         raise InputError(
-            "modules are found by the numbers at the end of names; numbers of several sensors: "
+            "modules are found by the numbers at the end of names; repeated numbers: "
             f"{join_items(repeated, 5)}"
         )
     if first is None:
