@@ -124,7 +124,7 @@ class VerdictOptions:
     ----------
     verdict
         Judge the map, and estimate the error of every sensor, from maps of resampled recordings.
-        The verdict takes one to three times as long as the map; Ctrl-C ends it and keeps the map.
+        The verdict takes up to about twice as long as the map; Ctrl-C ends it and keeps the map.
     contacts
         Shape of all contacts: compact or elongated. Contacts of a fingertip, a palm or a ball are
         compact; contacts of an edge or a roller are elongated, and increase the expected error. A
