@@ -76,11 +76,6 @@ class Behaviour:
     signals: Signals
     best_match: NDArray[np.float64]
 
-    @property
-    def contacts(self) -> NDArray[np.intp]:
-        """Number of contacts: runs of frames clearly beyond rest."""
-        return self.signals.contacts
-
     @cached_property
     def _excerpt(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.bool_]]:
         """Standard deviations, (n,), second differences, and mask of frames at rest, (t, n)."""
@@ -144,7 +139,7 @@ class Behaviour:
     @cached_property
     def unlike(self) -> NDArray[np.bool_]:
         """Sensors with contacts that resemble others clearly less than typical sensors do."""
-        found = (self.contacts >= MIN_CONTACTS) & ~self._dithers
+        found = (self.signals.contacts >= MIN_CONTACTS) & ~self._dithers
         if found.any():
             best = np.nan_to_num(self.best_match[found])
             typical = np.full(best.size, np.median(best))
@@ -164,11 +159,11 @@ class Behaviour:
             r = best.copy()
             r[low] /= np.sqrt(np.maximum(1 - share, 0.1))
             # A single different contact lowers r, so n contacts resolve no r closer to 1.
-            most = 1 - 0.5 / self.contacts[found]
+            most = 1 - 0.5 / self.signals.contacts[found]
             r, typical = (np.clip(one, _LEAST_R, most) for one in (r, typical))
             # Ratio of unexplained to explained variance; Fisher's z has the variance 1 / n.
             levels = (r**-2 - 1) / (typical**-2 - 1)
-            unlikely = outlying(levels, 4 / typical**2 / self.contacts[found])
+            unlikely = outlying(levels, 4 / typical**2 / self.signals.contacts[found])
             found[found] = unlikely & (r < _HARMFUL_MATCH * typical)
         return np.asarray(found)
 
@@ -284,7 +279,6 @@ def _assess(recording: Recording) -> tuple[SensorHealth, ...]:
     recording = recording.complete("interpolate")
     varying = recording.varying()
     statuses = _of_constant(recording, varying)
-    lowest, highest = recording.extremes
     n_sensors = recording.n_sensors
     measured: dict[str, NDArray[Any]] = {
         "distinct": np.ones(n_sensors, dtype=np.intp),
@@ -295,8 +289,7 @@ def _assess(recording: Recording) -> tuple[SensorHealth, ...]:
     }
     if varying.any():
         signals = recording.signals if varying.all() else Signals(recording.readings[:, varying])
-        best = _best_match(signals)
-        behaviour = Behaviour(signals, best)
+        behaviour = Behaviour(signals, _best_match(signals))
         sensors = np.flatnonzero(varying)
         for status, test in reversed(_TESTS.items()):
             for i, reason in test(behaviour).items():
@@ -305,8 +298,8 @@ def _assess(recording: Recording) -> tuple[SensorHealth, ...]:
         measured["active"][varying] = signals.n_active / recording.n_frames
         measured["contacts"][varying] = signals.contacts
         measured["lag_correlation"][varying] = signals.lag_correlation
-        measured["best_match"][varying] = best
-    ends = (end.astype(np.float64) for end in (lowest, highest))
+        measured["best_match"][varying] = behaviour.best_match
+    ends = (end.astype(np.float64) for end in recording.extremes)
     rows = zip(*(column.tolist() for column in (*ends, *measured.values())), strict=True)
     return tuple(
         SensorHealth(name, *statuses.get(i, ("ok", "")), *row)
@@ -348,8 +341,8 @@ def _of_constant(recording: Recording, varying: NDArray[np.bool_]) -> dict[int, 
 
 def _few_contacts(b: Behaviour) -> dict[int, str]:
     return {
-        i: f"number of contacts: {b.contacts[i]}; a position needs at least {MIN_CONTACTS}"
-        for i in np.flatnonzero(b.contacts < MIN_CONTACTS).tolist()
+        i: f"number of contacts: {b.signals.contacts[i]}; a position needs at least {MIN_CONTACTS}"
+        for i in np.flatnonzero(b.signals.contacts < MIN_CONTACTS).tolist()
     }
 
 

@@ -90,12 +90,15 @@ def thinning(readings: ArrayLike) -> int:
     """Return the largest step between frames that hardly increases the variance of correlations.
 
     The variance of correlations of every s-th frame is proportional to ``s sum_l rho(s l)^2``, with
-    the autocorrelations rho at all lags l, for two sensors with equal autocorrelations.
+    the autocorrelations rho at all lags l, for two sensors with equal autocorrelations. The step is
+    1 if changes are slow: sensors then share the same few events, and differ by noise.
     """
     values = np.asarray(readings)
     if len(values) < 2 * _MIN_THINNED:
         return 1
     lag, _, found = _fading(values)
+    if N_BLOCKS * lag >= len(values):
+        return 1
     squares = np.square(found[: _WINDOW_FACTOR * lag + 1]).mean(axis=1)
     squares[1:] *= 2  # for the negative lags
     of_all = _MAX_VARIANCE * float(squares.sum())
@@ -385,6 +388,7 @@ def without_slow_changes(readings: NDArray[Any]) -> NDArray[Any]:
     return left if gained >= _GAIN else readings
 
 
+_LEAST_SHARE = 0.1  # .01 to .25 result in similar maps
 # Tuned on simulated skins, seeds 101-105; 3 to 10 result in similar maps.
 _POWER_OF_RELIABILITY = 5.0
 _POWER_OF_RATIO = 10.0
@@ -400,7 +404,10 @@ def blended_correlation(readings: ArrayLike) -> Reals:
     Ranks are less noisy but distort distances. Ranks are of depths beyond rest
     (`anisomap.numerics.similarity.rest.estimate_rest`), since ranks of readings at rest are noise.
     With the reliabilities p of r and q of rho, ``1 - w = (1 - p^5) min(1, q / p)^10``: the weight
-    of rho is large if r is unreliable, unless rho is even less reliable.
+    of rho is large if r is unreliable, unless rho is even less reliable. In recordings of fewer
+    than 20 correlation times, what fades between two frames is noise. The result is then divided by
+    ``sqrt(s_i s_j)`` (Spearman 1904, The American Journal of Psychology 15: 72-101), with the share
+    s of a sensor's variance that is no noise: its autocorrelation, extrapolated to lag 0.
     """
     return Blend.of(readings).similarity
 
@@ -412,6 +419,7 @@ class Blend:
     similarity (N, N): See `blended_correlation`.
     weight: Weight of Pearson's r, in [0, 1].
     rho (N, N): Spearman's. readings, ranks (T, N): Ranks are of depths beyond rest.
+    gain (N, N): Inverse of the attenuation by noise.
     """
 
     similarity: Reals
@@ -419,6 +427,7 @@ class Blend:
     weight: float
     readings: NDArray[Any]
     ranks: Reals
+    gain: Reals
 
     @classmethod
     def of(
@@ -435,9 +444,14 @@ class Blend:
         p, q = max(p, 0.0), max(q, 0.0)
         ratio = 1.0 if q >= p else q / p
         weight = 1 - (1 - p**_POWER_OF_RELIABILITY) * ratio**_POWER_OF_RATIO
-        blended = weight * r + (1 - weight) * rho
+        gain = np.ones_like(r)
+        if N_BLOCKS * correlation_time(values) >= len(values):
+            _, first, second = _autocorrelation(values, 2, np.arange(len(r)))
+            share = np.clip(2 * first - second, _LEAST_SHARE, 1)
+            gain /= np.sqrt(np.outer(share, share))
+        blended = np.clip((weight * r + (1 - weight) * rho) * gain, -1, 1)
         np.fill_diagonal(blended, 1.0)
-        return cls(blended, rho, weight, values, ranks)
+        return cls(blended, rho, weight, values, ranks, gain)
 
     @cached_property
     def variance(self) -> Reals:
@@ -447,6 +461,7 @@ class Blend:
         """
         deviation = self.weight * np.sqrt(sampling_variance(self.readings))
         deviation += (1 - self.weight) * np.sqrt(sampling_variance(self.ranks))
+        deviation *= self.gain
         return np.asarray(np.square(deviation, out=deviation))
 
     def select(self, sensors: NDArray[np.bool_]) -> Blend:
@@ -458,6 +473,7 @@ class Blend:
             rho=self.rho[inside],
             readings=self.readings[:, sensors],
             ranks=self.ranks[:, sensors],
+            gain=self.gain[inside],
         )
 
     def resampled(self, edges: NDArray[np.intp], weights: Floats) -> NDArray[np.floating]:
@@ -467,4 +483,5 @@ class Blend:
         rho = resampled_correlation(self.ranks, edges, weights)
         rho *= 1 - self.weight
         found += rho
-        return found
+        found *= self.gain
+        return np.clip(found, -1, 1, out=found)

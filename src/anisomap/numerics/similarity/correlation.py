@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import squareform
 
-from anisomap.errors import InputError
 from anisomap.numerics.columns import centred_rows, ranked
 from anisomap.numerics.precision import Floats, Reals, float_type, slices_of, symmetric_from_upper
 from anisomap.numerics.similarity.rest import estimate_rest
@@ -111,20 +110,10 @@ _MIN_SPLIT_SENSORS = 3  # for a reliability: a correlation over 3 pairs
 _MAX_PAIRED = 4000  # sampled sensors; their 8 million pairs determine a reliability
 
 
-def split_blocks(
-    values: NDArray[Any], n_blocks: int = N_BLOCKS
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Split frames, (T, ...), into two halves of alternating blocks: contacts last for several."""
-    if len(values) < 2:
-        raise InputError(f"split-half needs at least 2 frames, got {len(values)}")
-    blocks = np.array_split(values, min(n_blocks, len(values)))
-    return np.concatenate(blocks[::2]), np.concatenate(blocks[1::2])
-
-
 def correlation_and_reliability(
     readings: ArrayLike, n_blocks: int = N_BLOCKS
 ) -> tuple[Reals, float]:
-    """Compute Pearson's r, and its correlation between the two halves, over pairs of sensors.
+    """Compute Pearson's r, and its correlation between two halves, over pairs of sensors.
 
     readings (T, N) -> (N, N), reliability in [-1, 1].
     """
@@ -133,7 +122,8 @@ def correlation_and_reliability(
     if n_frames < _MIN_SPLIT_FRAMES or n_sensors < _MIN_SPLIT_SENSORS:
         return pearson(values), 0.0
     # Merging the halves takes a tenth of the time of multiplying all frames again.
-    first, second = map(PairSums.of, split_blocks(values, n_blocks))
+    blocks = np.array_split(values, min(n_blocks, n_frames))  # contacts last for several frames
+    first, second = (PairSums.of(np.concatenate(blocks[half::2])) for half in (0, 1))
     whole, step = first.merged(second).correlation(), -(-n_sensors // _MAX_PAIRED)
     halves = (one.correlation()[::step, ::step] for one in (first, second))
     pairs = [squareform(one, checks=False) for one in halves]
