@@ -222,7 +222,7 @@ def test_sessions_with_zeros_of_their_own(n: int) -> None:
     with pytest.warns(AnisomapWarning, match="level at rest differs between recordings"):
         joined = join_runs(runs)
     np.testing.assert_allclose(joined.readings, noisy, atol=3)
-    with pytest.warns(AnisomapWarning, match="most sensors steps"):
+    with pytest.warns(AnisomapWarning, match="most sensors jumps"):
         whole = join_runs(np.vstack([run.readings for run in runs]))
     np.testing.assert_allclose(whole.readings, noisy, atol=3)
 

@@ -52,4 +52,6 @@ def _check_triangles(path: Path, content: bytes) -> None:
     start = content[:_STL_START].lstrip().lower()
     is_text = start.startswith(b"solid") and b"facet" in content.lower()
     if not is_text and len(content) != _STL_HEADER + _STL_TRIANGLE * n_triangles:
-        raise FileError(f"{path} is damaged: {n_triangles} triangles in {len(content)} bytes")
+        raise FileError(
+            f"{path} is damaged: it announces {n_triangles} triangles in {len(content)} bytes"
+        )

@@ -29,12 +29,11 @@ def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
     """Open a regular file as bytes, without waiting for pipes."""
     # Do not wait for the writer of a pipe; keep line ends. Not all systems have these flags.
     flags = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    try:
-        descriptor = os.open(path, os.O_RDONLY | flags)
-    except FileNotFoundError:
-        raise FileError(f"there is no file {path}") from None
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    with named_errors(path, "read"):
+        try:
+            descriptor = os.open(path, os.O_RDONLY | flags)
+        except FileNotFoundError:
+            raise FileError(f"there is no file {path}") from None
     mode = os.fstat(descriptor).st_mode
     if stat.S_ISREG(mode):
         # Unlike os.fdopen, open keeps the name of the file.
@@ -47,11 +46,8 @@ def open_regular(path: str | os.PathLike[str]) -> io.BufferedReader:
 
 def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
     """Read a small text file."""
-    try:
-        with open_regular(path) as stream:
-            content = stream.read(limit + 1)
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+    with named_errors(path, "read"), open_regular(path) as stream:
+        content = stream.read(limit + 1)
     if len(content) > limit:
         raise FileError(f"{path} is larger than {limit} bytes, the limit for {what}")
     try:
@@ -63,15 +59,13 @@ def read_small(path: str | os.PathLike[str], limit: int, what: str) -> str:
 def check_target(path: str | os.PathLike[str]) -> Path:
     """Check that a file can be written at a path."""
     target = Path(path)
-    try:
+    with named_errors(target):  # such as of a name that is too long
         if target.is_dir():
             raise FileError(f"cannot write {target}: it is a folder; give a file name")
         if target.exists() and not target.is_file():
             raise FileError(f"cannot write {target}: it is not a regular file; give a file name")
         if not target.parent.is_dir():
             raise FileError(f"cannot write {target}: the folder {target.parent} does not exist")
-    except OSError as error:  # such as a name that is too long
-        raise FileError(f"cannot write {target}: {error.strerror or error}") from error
     return target
 
 
@@ -92,10 +86,8 @@ def check_distinct(
 
 def _real(path: str | os.PathLike[str]) -> Path:
     """Follow links; unlike Path.resolve in Python 3.11 and 3.12, also broken links."""
-    try:
+    with named_errors(path, "find"):  # if the working folder was removed
         return Path(os.path.realpath(path))
-    except OSError as error:  # the working folder was removed
-        raise FileError(f"cannot find {path}: {error.strerror or error}") from error
 
 
 _Moves: TypeAlias = dict[Path, tuple[Path, Path]]
@@ -125,12 +117,12 @@ def together() -> Iterator[_Moves]:
 
 
 @contextmanager
-def named_errors(target: Path) -> Iterator[None]:
-    """Name the file in errors of the operating system while it is written."""
+def named_errors(path: str | os.PathLike[str], action: str = "write") -> Iterator[None]:
+    """Say in errors of the operating system what could not be done with which file."""
     try:
         yield
     except OSError as error:
-        raise FileError(f"cannot write {target}: {error.strerror or error}") from error
+        raise FileError(f"cannot {action} {path}: {error.strerror or error}") from error
 
 
 @contextmanager

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t
 
+from anisomap.drawing.figures.backend import load
 from anisomap.drawing.figures.charts import METHOD_LOOKS
 from anisomap.drawing.figures.maps import map_panel, truth_panel
 from anisomap.drawing.view import Panel
@@ -34,8 +35,6 @@ MORE_BINS = (6, 8)
 
 SMACOF = SmacofOptions(solver="majorization")
 """The paper's algorithm for its methods."""
-
-_WHISKER = 1.5  # interquartile ranges, as in the paper's Figure 3
 
 
 def similarity_of(recording: Recording, method: str, bins: int = DEFAULT_BINS) -> Reals:
@@ -223,13 +222,10 @@ def _null_cells(mantel: Mantel) -> Row:
     null = mantel.null
     if not null.size:
         return (*[math.nan] * 7, "")
-    first, median, third = np.quantile(null, (0.25, 0.5, 0.75)).tolist()
-    reach = _WHISKER * (third - first)
-    is_inside = (null >= first - reach) & (null <= third + reach)
-    low, high = float(null[is_inside].min()), float(null[is_inside].max())
-    outliers = " ".join(f"{value:.4f}" for value in np.sort(null[~is_inside]))
+    (box,) = load("matplotlib.cbook").boxplot_stats(null)  # whiskers as in the paper's Figure 3
+    outliers = " ".join(f"{value:.4f}" for value in np.sort(box["fliers"]))
     z = (mantel.r - float(null.mean())) / float(null.std())
-    return (low, first, median, third, high, float(null.max()), z, outliers)
+    return (*(float(box[key]) for key in _NULL), float(null.max()), z, outliers)
 
 
 _ERROR = 0.05  # probability of error of an interval, and of all cases of a claim together

@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 import anisomap
 from anisomap.errors import AnisomapWarning, FileError, InputError, MissingExtraError
+from anisomap.files.paths import named_errors
 from anisomap.paper import accuracy, bodies, claims, patch, reach, sample_data, sensitivity
 from anisomap.paper.experiment import REGISTRY, Experiment, Settings
 from anisomap.paper.results import PAGE, load, save, write_page
@@ -79,10 +80,8 @@ def reproduce(
     settings, target = settings or Settings(), Path(folder)
     chosen = _with_needs(only or list(experiments), experiments)
     _check(settings)
-    try:
+    with named_errors(target, "create the folder"):
         target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot create the folder {target}: {error.strerror}") from error
     found = {one.name: Status(one.name, 0.0, "skipped") for one in chosen}
     prints: dict[str, str] = {}
     pending: list[Experiment] = []

@@ -157,10 +157,14 @@ def test_what_cannot_be_scaled_is_refused(arguments, message):
         smacof(BORG_DISSIMILARITIES, **arguments)
 
 
-@pytest.mark.parametrize("options", [{"tolerance": -1}, {"max_iterations": -1}])
-def test_impossible_options_are_refused(options):
-    with pytest.raises(InputError, match=next(iter(options))):
-        SmacofOptions(**options)
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [("tolerance", -1, "tolerance"), ("max_iterations", -1, "max_iterations"),
+     ("solver", "newton", "majorization")],
+)  # fmt: skip
+def test_impossible_options_are_refused(option, value, message):
+    with pytest.raises(InputError, match=message):
+        SmacofOptions(**{option: value})
 
 
 @st.composite
@@ -336,11 +340,6 @@ def test_coincident_points_stay_finite(compiled, solver):
     zeros = Problem(np.zeros((9, 9)), np.ones((1, 9)), compiled)
     trace = SOLVERS[solver](zeros, apart, 1e-8, 3000).trace
     assert trace[-1] < 1e-25 * trace[0], "points meet, but for rounding"
-
-
-def test_an_unknown_solver_is_rejected():
-    with pytest.raises(InputError, match="majorization"):
-        SmacofOptions(solver="newton")
 
 
 def test_torgerson_resolves_equal_eigenvalues():

@@ -15,8 +15,8 @@ from anisomap.base import DEFAULT_METHOD, PERMUTATIONS
 from anisomap.base.wording import number, percent
 from anisomap.cli import parameters as options
 from anisomap.cli.console import Printer, errors, progress
-from anisomap.errors import FileError, InputError, import_extra
-from anisomap.files.paths import together
+from anisomap.errors import InputError, import_extra
+from anisomap.files.paths import named_errors, together
 
 _MESHES = (".glb", ".obj", ".off", ".stl")  # .obj files would be read as tables
 
@@ -156,10 +156,8 @@ def demo(
     from anisomap.cli.printing import print_recording
 
     import_extra("mujoco", "the demo", "report,simulation")
-    try:
+    with named_errors(output_dir, "create the folder"):
         output_dir.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(f"cannot create the folder {output_dir}: {error.strerror}") from error
     recorded = output_dir / "recording.npz"
     files = outputs.Outputs(
         maps=(output_dir / "map.csv",),
