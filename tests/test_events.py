@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from anisomap import InputError, Recording, io
 from anisomap.errors import FileError
 
-DOCS = Path(__file__).parents[1] / "docs"
 EVENTS = st.lists(st.tuples(st.integers(0, 400), st.integers(0, 3)), min_size=1, max_size=40)
 
 

@@ -32,7 +32,8 @@ def test_every_file_holds_the_map_and_its_verdict(made):
     header = (made / "map.csv").read_text().split('"name"')[1].splitlines()[0]
     assert header.endswith('"cov_xx","cov_xy","cov_yy"')
     sensors = json.loads((made / "map.json").read_text())["sensors"]
-    np.testing.assert_array_equal([sensor["covariance"] for sensor in sensors], found_in(made))
+    stored = anisomap.read_map(made / "map.npz").covariances
+    np.testing.assert_array_equal([sensor["covariance"] for sensor in sensors], stored)
     assert (made / "map.png").read_bytes().startswith(b"\x89PNG")
     page = (made / "map.html").read_text(encoding="utf-8")
     assert "Ellipses contain 95" in page
@@ -46,10 +47,6 @@ def test_a_spacing_that_the_true_positions_contradict_is_warned_of(run_map, skin
     spacing = factor * anisomap.evaluation.median_spacing(truth.positions)
     done = run_map(skin_npz, "--spacing", f"{spacing}{truth.units}")
     assert ("check --spacing" in done.err) == told
-
-
-def found_in(made):
-    return anisomap.read_map(made / "map.npz").covariances
 
 
 def test_maps_that_are_not_usable_or_not_judged_fail_but_are_written(run, tmp_path):
