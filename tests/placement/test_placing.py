@@ -290,8 +290,12 @@ def test_lengths_are_right_despite_the_errors_of_a_map(body, dimensions):
     for seed in range(3):
         skin = simulate(body, "rubbing", n_frames=2000, seed=seed)
         spacing = evaluation.median_spacing(skin.positions)
-        scaled = scaled_to_spacing(reconstruct(skin, dimensions=dimensions), spacing, "mm")
+        made = reconstruct(skin, dimensions=dimensions)
+        scaled = scaled_to_spacing(made, spacing, "mm")
+        placed = place(made, spacing=(spacing, "mm")).map
         assert spacing_on_skin(scaled) == pytest.approx(spacing)
+        assert spacing_on_skin(placed) == pytest.approx(spacing / 1000)
+        assert "spacing" in placed.provenance
         ratios.append(align(scaled.positions, skin.positions).scale)
     assert np.median(ratios) == pytest.approx(1, abs=0.2)
 

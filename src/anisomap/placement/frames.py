@@ -68,11 +68,9 @@ def median_spacing(sensor_map: SensorMap) -> float:
 def spacing_on_skin(sensor_map: SensorMap) -> float:
     """Estimate the median distance to the nearest sensor on the skin, in the unit of the map.
 
-    Errors of positions shorten this distance on a map by the default method, which is corrected
-    unless modules or anchors gave the scale.
+    Errors of positions shorten this distance on a map by the default method, which is corrected.
     """
-    by_spacing = "spacing" in sensor_map.provenance or sensor_map.units not in METRES
-    corrected = sensor_map.method == DEFAULT_METHOD and by_spacing
+    corrected = sensor_map.method == DEFAULT_METHOD
     factor = _TOO_LONG.get(sensor_map.dimensions, 1.0) if corrected else 1.0
     return factor * median_spacing(sensor_map)
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.base import METRES
+from anisomap.base import DEFAULT_METHOD, METRES
 from anisomap.base.wording import join_items
 from anisomap.errors import InputError
 from anisomap.map_verdict import ACCURACY
@@ -168,7 +168,9 @@ def _scaled(part: SensorMap, modules: Modules | None, spacing: tuple[float, str]
         if np.bincount(on_module, minlength=1).max() >= MIN_PADS:
             fit = fit_modules(part, modules)
             how, evidence = "scaled by its modules", abs(fit.evidence)
-            return _Part(_in_metres(fit.map), _MODULE_SCALE, evidence, how, rigid=True)
+            provenance = {k: v for k, v in part.provenance.items() if k not in {"spacing", "scale"}}
+            found = replace(_in_metres(fit.map), provenance=provenance)
+            return _Part(found, _MODULE_SCALE, evidence, how, rigid=True)
     if spacing is not None and np.count_nonzero(part.placed) > 1:
         scaled = _in_metres(scaled_to_spacing(part, *spacing))
         return _Part(scaled, _SPACING_SCALE, how="scaled by its spacing")
@@ -209,6 +211,7 @@ def _unanchored(sensor_map: SensorMap, parts: list[_Part], stated: bool | None) 
         units="m",
         handed=handed,
         mirrored=mirror,
+        provenance=parts[0].map.provenance,
     )
     methods = tuple(part.how for part in parts)
     return _with_missing(Placement(result, methods=methods), sensor_map)
@@ -361,9 +364,11 @@ def judgement(sensor_map: SensorMap) -> tuple[str, ...]:
             f"{float(np.median(within)) * factor:.2g} mm with a probability of 90%.",
         )
     if unit == "mm" and "spacing" in sensor_map.provenance and not sensor_map.anchored:
+        accurate = "lengths on a good map are then usually within 15% of the true lengths"
+        wrong = "errors of positions shorten it on the map, so lengths are too long"
         told.append(
             f"Millimetres assume a median distance of {spacing:.3g} mm to the nearest sensor; "
-            "lengths on the map are then usually within 15% of the true lengths."
+            f"{accurate if sensor_map.method == DEFAULT_METHOD else wrong}."
         )
     return tuple(told)
 

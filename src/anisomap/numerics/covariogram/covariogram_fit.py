@@ -90,7 +90,7 @@ def fit_covariogram(
     similarity (N, N): Correlations S in [-1, 1], symmetric; the diagonal is ignored.
     start (N, k): Initial positions in any unit.
     metric (N, N): Distances D in the unit of `start`, which determine the positions of sensors that
-        correlations do not determine; infinite where unknown.
+        correlations do not determine; infinite where unknown, but not for all.
     noise: Sampling variance s^2 of a correlation, above 0: see `sampling_variance`.
     known (N, N): Mask of the known correlations; all by default.
     least_tolerance, least_prior: Minima of the `tolerance` and the `prior_weight` of the options.
