@@ -120,6 +120,7 @@ def candump(form):
     return lines(lambda t, r: f"({t / 50}) can0 100#" + "".join(f"{v:{form}}" for v in r[:4]))
 
 
+SMOOTH = RNG.normal(size=(T, 2, 6)).cumsum(axis=0).round(2)
 REFUSED = {
     "numpy, in short": (
         lines(lambda t, row: np.array2string(np.tile(row, 99), threshold=9)),
@@ -159,6 +160,13 @@ REFUSED = {
         "the labels of the values must not change",
     ),
     "boards": (by_board(lambda k: f"B{k}"), "column 1 repeats .* 3 lines seem to be a frame"),
+    "boards in any order": (
+        "".join(f"{k},{joined(SMOOTH[t, k])}\n" for t in range(T) for k in RNG.permutation(2)),
+        "column 1 names boards",
+    ),
+    "bytes": (lines(lambda t, row: f"{bytes(v % 256 for v in row)}"), r"print list\(data\)"),
+    "wrapped lines": (table(PRESSED, "  ").replace("c11", "c11 \\"), "wraps its lines"),
+    "frames in a line": (str([*map(tuple, PRESSED.tolist())])[1:], "a single line"),
     "readings by line": (
         "time,node,adc\n" + by_sensor(lambda t, i, v: f"{t / 50},{i},{v}"),
         r"pivot\(index='time', columns='node', values='adc'\)",

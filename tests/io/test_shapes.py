@@ -97,6 +97,40 @@ def test_columns_that_are_no_sensors(put, name: str, last: bool) -> None:
     assert kept.names == tuple(n for n in names if n in (*NAMES[:6], "c10", "c11", name))
 
 
+COUNT = np.arange(N_FRAMES)
+UNLIKE = {
+    "only 2 values": COUNT % 100 < 50,
+    "apart from all others": RNG.integers(5000, 5040, N_FRAMES),
+    "constant": 7 * COUNT**0 + 7000,
+    "it never falls": 9000 + (RNG.random(N_FRAMES) < 0.1).cumsum(),
+    "it never rises": 3921 - COUNT // 37,
+    "with decimals": 24 + RNG.normal(size=N_FRAMES),
+}
+"""Columns without a name; the first two are read nevertheless."""
+
+
+@pytest.mark.parametrize("what", UNLIKE)
+@pytest.mark.parametrize("last", [False, True])
+def test_columns_unlike_the_others(put, what: str, last: bool) -> None:
+    values, names = 1 * UNLIKE[what], [*UNLIKE][:2]
+    rows = np.column_stack([PRESSED, values] if last else [values, PRESSED]).astype(object)
+    with pytest.warns(AnisomapWarning, match=rf"column {13 if last else 1}: {what}\); give --keep"):
+        found = io.read(put("run.csv", text([], rows).lstrip()))
+    kept = np.delete(found.readings, -1 if last else 0, axis=1) if what in names else found.readings
+    np.testing.assert_array_equal(kept, PRESSED)
+
+
+def test_two_numbers_of_each_sensor_are_told(put) -> None:
+    names = [f"{name}{end}" for name in NAMES for end in ("", "_q")]
+    rows = np.repeat(PRESSED, 2, axis=1)
+    with pytest.warns(AnisomapWarning, match="two numbers of each, '' and '_q'"):
+        assert io.read(put("run.csv", text(names, rows))).names == tuple(names)
+    with pytest.warns(AnisomapWarning, match="x, y and z of a taxel"):
+        assert io.read(
+            put("xyz.csv", text([], (VECTORS * [1, 1, 9]).reshape(N_FRAMES, -1)).lstrip())
+        )
+
+
 def test_columns_beside_pressures_of_insoles(put) -> None:
     """Inertial units, sums and centres of pressure, which are empty without load."""
     others = ["acceleration X[g]", "angular Y[dps]", "total force[N]", "mass[kg]"]

@@ -173,3 +173,10 @@ def test_rows_of_a_matrix_that_rests_at_first_are_noticed():
     said = [item.text for item in items if isinstance(item, Notice)]
     assert any(text.endswith("start again with --grid 3x4") for text in said)
     assert readings(items) == rows
+
+
+def test_a_flag_that_changes_late_is_noticed():
+    rows = np.random.default_rng(2).integers(0, 999, (600, 9))
+    rows = np.column_stack([rows, np.arange(600) // 60 == 8]).tolist()
+    *_, said = parsed(*(",".join(map(str, row)).encode() + b"\n" for row in rows))
+    assert said.text == "columns unlike the others are read as sensors (column 10: only 2 values)"

@@ -118,23 +118,25 @@ class Taxels:
 
 
 def examine(
-    names: Sequence[str], table: NDArray[np.floating] | None, axis: str = "z"
+    names: Sequence[str],
+    table: NDArray[np.floating] | None,
+    axis: str = "z",
+    numbers: Sequence[int] = (),
 ) -> tuple[tuple[str, ...], dict[int, str], Taxels | None, dict[str, str]]:
     """Decide which columns are sensors.
 
     table (t, n_columns): First rows; None if all are sensors, or axes of them.
+    numbers: Places of the columns in the file, from 0, if others are not among them.
     Returns names without units, columns that are not sensors with their kinds, taxels with three
     axes, and messages by the command-line option that changes the choice.
     """
-    others = {} if table is None else find_others(names, table)
+    others, doubts = ({}, {}) if table is None else find_others(names, table)
     names, said = without_units(names), dict[str, str]()
     taxels = None if axis == "all" else find_taxels(names, others)
-    kinds = dict[str, list[str]]()
-    for i, what in (others := others | (taxels.others if taxels else {})).items():
-        kinds.setdefault(what, []).append(printable(names[i]) if names else f"column {i + 1}")
-    if kinds:
-        listed = "; ".join(f"{join_items(held, _FEW)}: {what}" for what, held in kinds.items())
-        said["--keep"] = f"columns that are not sensors are left out ({listed})"
+    others |= taxels.others if taxels else {}
+    left_out = said_of(names, others, "that are not sensors are left out", numbers)
+    if text := "; ".join(filter(None, (left_out, said_of(names, doubts, UNLIKE, numbers)))):
+        said["--keep"] = text
     if taxels:
         read = "the length from rest" if axis == "norm" else axis
         said["--axis"] = f"{len(taxels.columns)} taxels with three axes: {read} is read"
@@ -142,6 +144,21 @@ def examine(
 
 
 _FEW = 3
+UNLIKE = "unlike the others are read as sensors"
+
+
+def said_of(
+    names: Sequence[str], kinds: Mapping[int, str], what: str, numbers: Sequence[int] = ()
+) -> str:
+    """Return a message about some columns; empty if there are none."""
+    held = dict[str, list[str]]()
+    for i, kind in kinds.items():
+        label = printable(names[i]) if names else f"column {1 + (numbers[i] if numbers else i)}"
+        held.setdefault(kind, []).append(label)
+    listed = "; ".join(f"{join_items(each, _FEW)}: {kind}" for kind, each in held.items())
+    return f"columns {what} ({listed})" if held else ""
+
+
 _Key: TypeAlias = tuple[str, str, str]
 """Stem of the name of a taxel, separator, and letter of a quantity."""
 
@@ -261,11 +278,16 @@ _PHRASES = {
 _MAX_SHARE, _MIN_SENSORS, _MAX_HEAD = 0.5, 3, 6
 _MIN_ROWS, _MAX_LEVELS, _MAX_SWITCHES = 20, 10, 0.1
 _MIN_FULL, _JUMPS = 0.9, (0.25, 0.42)  # of the range of a checksum
+# Shares of columns that may do as one that is unlike them, and of readings that may equal it.
+_MOST_ALIKE, _RARE = 0.05, 0.01
+_MIN_COMPARED, _MIN_REPEATS, _FEWER = 100, 4, 8  # rows; of each value; times fewer values
 _MIN_LABELS = 500  # rows: in fewer, a sensor may not have been touched
 
 
-def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, str]:
-    """Find columns that are not sensors, and their kinds, by names or by values.
+def find_others(
+    names: Sequence[str], table: NDArray[np.floating]
+) -> tuple[dict[int, str], dict[int, str]]:
+    """Find columns that are not sensors, and sensors that may be none, with their kinds.
 
     table (t, n_columns): First rows. Names are empty if there is no header.
     """
@@ -277,7 +299,7 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
         if usual and count > _MAX_SHARE * len(marked):
             others = {i: f"not in {usual}" for i, u in enumerate(marked) if u not in ("", usual)}
             found = others | found
-    odd = odd_names(names)
+    odd, doubts = odd_names(names), _kinds_of_names(names)
     units = {i: names[i].strip() for i in odd if len(names[i]) > 1}
     found |= {i: f"a quantity in {unit}" for i, unit in units.items() if _UNITS.fullmatch(unit)}
     if len(table) >= _MIN_ROWS:
@@ -288,9 +310,35 @@ def find_others(names: Sequence[str], table: NDArray[np.floating]) -> dict[int, 
         moved = high > np.min(table, axis=0, initial=np.inf, where=finite)  # at rest, none
         resting = [i for i in odd if not moved[i] and 2 * np.count_nonzero(moved) > len(moved)]
         found |= {i: "constant" for i in resting if i not in found}
-        found |= _by_values(names, table, found, odd)
+        by_values, unlike = _by_values(names, table, found, odd)
+        found, doubts = found | by_values, doubts | unlike
+        if not (names or found) and _are_threes(table):
+            doubts |= dict.fromkeys(range(3), "x, y and z of a taxel?")
     n_sensors = table.shape[1] - len(found)
-    return found if n_sensors >= _MIN_SENSORS else {}
+    return (found, doubts) if n_sensors >= _MIN_SENSORS else ({}, {})
+
+
+def _are_threes(table: NDArray[np.floating]) -> bool:
+    """Return whether the same one of each three columns changes most, by far."""
+    n_threes, rest = divmod(table.shape[1], len(XYZ))
+    if rest or n_threes < MIN_TAXELS:
+        return False
+    spreads = np.nanstd(table, axis=0).reshape(n_threes, len(XYZ))
+    spreads = spreads[spreads.min(axis=1) > 0]
+    ordered = np.sort(spreads, axis=1)
+    clear = ordered[:, -1] > 2 * ordered[:, -2]
+    usual = np.bincount(spreads.argmax(axis=1)[clear], minlength=1).max()
+    return len(spreads) >= MIN_TAXELS and bool(usual > _MIN_FULL * n_threes)
+
+
+def _kinds_of_names(names: Sequence[str]) -> dict[int, str]:
+    """Find two numbers of each sensor, by names that end differently: ``S1``, ``S1_q``."""
+    parts = [re.fullmatch(r"(.*\d)(\D*)", name) for name in names]
+    counts = Counter(match[2] for match in parts if match)
+    stems = {match[1] for match in parts if match}
+    if None in parts or len(counts) != 2 or len(stems) < MIN_TAXELS or 2 * len(stems) != len(names):
+        return {}
+    return {i: f"two numbers of each, {' and '.join(map(repr, counts))}" for i in (0, 1)}
 
 
 def _what_is_named(name: str) -> str:
@@ -303,39 +351,112 @@ def _what_is_named(name: str) -> str:
 
 def _by_values(
     names: Sequence[str], table: NDArray[np.floating], known: dict[int, str], odd: Collection[int]
-) -> dict[int, str]:
-    """Find sums of all others, and columns with odd names that are counters or have few levels."""
+) -> tuple[dict[int, str], dict[int, str]]:
+    """Find sums of all others, and columns with odd names, or at an edge, unlike the others.
+
+    Returns columns that are not sensors, and columns that may be none.
+    """
     rest = [i for i in range(table.shape[1]) if i not in known]
     values = table[:, rest].astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     if len(values) < _MIN_ROWS or len(rest) <= _MIN_SENSORS:
-        return {}
-    found = {}
+        return {}, {}
+    found = dict[int, str]()
     with np.errstate(over="ignore", invalid="ignore"):
         total = values.sum(axis=1, keepdims=True)
-        whole = bool((values == np.floor(values)).all())
+        whole = _is_whole(values)
         sums = np.abs(total - 2 * values) <= (0 if whole else 1e-6) * np.abs(total)
         varying = values.max(axis=0) > values.min(axis=0)
         varying &= np.count_nonzero(varying) > _MIN_SENSORS  # two may have been touched together
         means = np.abs(total - len(rest) * values) <= 1e-6 * np.abs(total)
         for what, fits in (("sum", sums), ("mean", means)):
             for k in np.flatnonzero(fits.all(axis=0) & varying).tolist():
-                found[rest[k]] = f"the {what} of all others"
+                found[k] = f"the {what} of all others"
         if whole and not found and values.min() >= 0:
             size = np.where(values.max(axis=0) < 256, 256, 1 << 16)
             modulo = ((total - 2 * values) % size == 0).all(axis=0) & varying
             modulo[-1] |= (not names or rest[-1] in odd) and _is_random(values, size[-1])
-            found |= {rest[k]: "a checksum of all others" for k in np.flatnonzero(modulo).tolist()}
+            found |= dict.fromkeys(np.flatnonzero(modulo).tolist(), "a checksum of all others")
     n_sizes = 0 if names else _count_sizes(values)
-    found |= dict.fromkeys(rest[:n_sizes], "a number of values")
-    for k in () if names else (0, len(rest) - 1):
-        what = _what_counts(values[:, k])
-        if what and rest[k] not in found:
-            found[rest[k]] = what
-    for k, i in enumerate(rest):
-        if i not in found and i in odd and (what := _kind(values[:, k])):
-            found[i] = what
-    return found if len(found) <= _MAX_SHARE * len(rest) else {}
+    found |= dict.fromkeys(range(n_sizes), "a number of values")
+    odd = [k for k, i in enumerate(rest) if i in odd]
+    sure, doubts = _unlike_others(values, found, odd if names else None)
+    if len(found := sure | found) > _MAX_SHARE * len(rest):
+        return {}, {}
+    return {rest[k]: s for k, s in found.items()}, {rest[k]: s for k, s in doubts.items()}
+
+
+def _unlike_others(
+    values: NDArray[np.float64], known: Mapping[int, str], odd: Sequence[int] | None
+) -> tuple[dict[int, str], dict[int, str]]:
+    """Find columns that cannot be sensors, and that may be none, by comparison with all others.
+
+    odd: Columns to examine; without it, both edges up to the first column like the others.
+    """
+    found, doubts, n_columns = dict(known), dict[int, str](), values.shape[1]
+    left = range(min(_MAX_HEAD, n_columns // 2))
+    right = range(n_columns - 1, n_columns - 1 - len(left), -1)
+    for side in (left, right) if odd is None else ([k] for k in odd):
+        for k in side:
+            if k in found:
+                continue
+            what, is_sure = _unlike(values, k, found, named=odd is not None)
+            if not what:
+                break
+            (found if is_sure else doubts)[k] = what
+    return found, doubts
+
+
+def _unlike(
+    values: NDArray[np.float64], k: int, found: Collection[int], *, named: bool
+) -> tuple[str, bool]:
+    """Return how a column differs from all others, and whether it cannot be a sensor."""
+    column, others = values[:, k], np.delete(values, [k, *found], axis=1)
+    steps, kind = np.diff(column), _kind(column)
+    even = np.abs(steps - np.median(steps)) <= np.median(steps) / 2
+    is_time = not named and bool((steps > 0).all() and np.mean(even) > 1 - _MAX_SWITCHES)
+    if is_time or kind == COUNTER or (named and kind):
+        return kind or "a time", True
+    moved = others[:, np.ptp(others, axis=0) > 0]
+    if moved.shape[1] <= max(MIN_TAXELS, others.shape[1] / 2):  # at rest
+        return "", False
+    low, high, least, most = moved.min(axis=0), moved.max(axis=0), column.min(), column.max()
+    apart = bool(min(np.mean(low <= most), np.mean(high >= least)) <= _MOST_ALIKE)
+    alone = apart or np.mean(others == least) < _RARE
+    narrow = apart and most - least < np.median(high - low) / _FEWER
+    fractions, n_levels = (moved != np.floor(moved)).any(axis=0), len(np.unique(column))
+    decimals = np.mean(column != np.floor(column)) > _MAX_SHARE and not fractions.any()
+    whole = _is_whole(column) and fractions.all() and n_levels > _MIN_SENSORS
+    one_way = apart or (n_levels > _MIN_SENSORS and np.mean(_one_way(moved)) <= _MOST_ALIKE)
+    tests = (
+        (decimals or whole, f"with{'' if decimals else 'out'} decimals", True),
+        (least == most and alone, "constant", apart and bool(least > np.median(high))),
+        (
+            one_way and _one_way(column),
+            f"it never {'falls' if steps.sum() > 0 else 'rises'}",
+            apart,
+        ),
+        (_are_few(column, moved), f"only {n_levels} values", False),
+        (narrow, "apart from all others", False),
+    )
+    return next(((what, is_sure) for fits, what, is_sure in tests if fits), ("", False))
+
+
+def _one_way(columns: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return whether columns change, and only rise or only fall."""
+    steps = np.diff(columns, axis=0)
+    one_way: NDArray[np.bool_] = (steps >= 0).all(axis=0) != (steps <= 0).all(axis=0)
+    return one_way
+
+
+def _are_few(column: NDArray[np.float64], others: NDArray[np.float64]) -> bool:
+    """Return whether a column has few values, all of them often, and others have many."""
+    counts = np.unique(column, return_counts=True)[1]
+    repeats = (len(column) - counts.max()) / len(counts)
+    if len(column) < _MIN_COMPARED or len(counts) == 1 or repeats < _MIN_REPEATS:
+        return False
+    usual = np.median([len(np.unique(each)) for each in others.T])
+    return bool(usual >= _MIN_ROWS and len(counts) <= max(_MAX_LEVELS, usual / _FEWER))
 
 
 def _is_random(values: NDArray[np.float64], size: float) -> bool:
@@ -366,18 +487,13 @@ def odd_names(names: Sequence[str]) -> list[int]:
     return [] if few else [i for i, form in enumerate(forms) if form != usual]
 
 
-def _what_counts(values: NDArray[Any]) -> str:
-    """Return the kind of an unnamed column that rises in even steps: a counter or a time."""
-    if _kind(values) == COUNTER:
-        return COUNTER
-    steps = np.diff(values)
-    even = np.abs(steps - np.median(steps)) <= np.median(steps) / 2
-    return "a time" if (steps > 0).all() and np.mean(even) > 1 - _MAX_SWITCHES else ""
+def _is_whole(values: NDArray[Any]) -> bool:
+    return bool((values == np.floor(values)).all())
 
 
 def _kind(values: NDArray[Any]) -> str:
     """Return the kind of a column of whole numbers: a counter or a label; otherwise empty."""
-    if not (values == np.floor(values)).all():
+    if not _is_whole(values):
         return ""
     steps, levels = np.diff(values), np.unique(values)
     again = (steps == 1) | (steps == levels[0] - levels[-1])  # of a counter of few levels

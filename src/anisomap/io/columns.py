@@ -38,9 +38,9 @@ def sensors_of(stream: Stream, options: ReadOptions) -> Stream:
         return replace(stream, names=without_units(stream.names))
     else:
         first, stream = _peeked(stream)
-    names, others, taxels, said = examine(stream.names, first, options.axis)
+    names, others, taxels, said = examine(stream.names, first, options.axis, stream.columns)
     for option, text in said.items():
-        warn(stream.path, f"{text}; {_REMEDIES[option]}")
+        warn(stream.path, text, _REMEDIES[option])
     stream = replace(stream, names=names)
     if others and names:
         named = ", ".join(f"({stream.names[i]})" for i in sorted(others))
@@ -115,6 +115,7 @@ def _converted(
         n_sensors=len(names),
         blocks=blocks(),
         names=names,
+        columns=tuple(stream.columns[i] for i in kept) if stream.columns else (),
         positions=None if positions is None else positions[chosen],
         normals=None if normals is None else normals[chosen],
         surface_distances=None if distances is None else distances[np.ix_(chosen, chosen)],

@@ -201,12 +201,12 @@ def _said_once() -> Iterator[None]:
     """Issue equal warnings about several files once, for the first file."""
     with said_here() as caught:
         yield
-    said: dict[str, list[str]] = {}
-    for file, text in caught:
-        said.setdefault(text, []).append(file)
-    for text, files in said.items():
+    said: dict[tuple[str, str], list[str]] = {}
+    for file, text, remedy in caught:
+        said.setdefault((text, remedy), []).append(file)
+    for (text, remedy), files in said.items():
         others = f" (also of other files: {len(files) - 1})" if len(files) > 1 else ""
-        warn(files[0], f"{text}{others}")
+        warn(files[0], f"{text}{others}", remedy)
 
 
 @contextmanager

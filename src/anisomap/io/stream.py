@@ -221,6 +221,7 @@ class Stream:
     from_zero: Whether to shift times so that the first frame is at 0.
     locate: Maps a frame index to its place in the file, such as ``"line 12"``.
     raw_columns: Whether columns may be axes of sensors, or not sensors.
+    columns: Places of the sensors among the columns of a table, from 0.
     """
 
     path: Path
@@ -237,6 +238,7 @@ class Stream:
     from_zero: bool = False
     locate: Callable[[int], str] | None = None
     raw_columns: bool = False
+    columns: tuple[int, ...] = ()
 
     def of_others(
         self, names: tuple[str, ...], blocks: Iterator[Block], rate_hz: float | None

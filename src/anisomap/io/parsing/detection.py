@@ -80,6 +80,8 @@ def count_preamble(sample: Sequence[str], *, padded: bool = False) -> int:
         if alike and len(rows) == _MIN_UNIFORM_ROWS:
             named = int(abs(widths[start - 1] - widths[start]) <= 1)
             cells = [_split(line, delimiter) for line in top[max(start - 2, 0) : start + 1]]
+            if named and len(cells[-2]) > 1 and not _looks_like_header(delimiter, cells[-2]):
+                return start - 1  # a word in the first line of readings
             if named and len(cells) == 3 and widths[start - 2] == widths[start]:
                 named += _are_units(cells[1], cells[2], delimiter)
             if named or not padded:
@@ -163,14 +165,8 @@ def _find_columns(
     header, body = (rows[0], rows[1:]) if has_header else ([], rows)
     if header and body and not header[0].strip() and all(is_missing(row[0]) for row in body if row):
         text = (0, *text)  # a column without a name and cells
-    n_units = bool(header and len(body) > 1 and _are_units(body[0], body[1], delimiter))
-    n_headers = bool(header and len(body) > 1 and _are_numbers_of(header, body[0]))
-    if n_headers:
-        pairs = zip(header, body[0], strict=True)
-        header = [f"{name}.{number}" if name else "" for name, number in pairs]
-    body = body[n_units + n_headers :]
-    n_apart = _count_apart(body) if has_header and not own_delimiter else 0
-    shown, body = join_items(body[0] if body else [], 4), body[n_apart:]
+    header, n_below, skipped = _rows_below(header, [] if own_delimiter else body, delimiter)
+    body = body[n_below:]
     width, empty = (len(body[0]), empty_columns(body)) if body else (0, 0)
     if header:
         named = header[: len(header) - empty_columns([header])]
@@ -180,15 +176,13 @@ def _find_columns(
         header, trailing = (named, trailing) if 0 <= trailing <= empty else (header, 0)
         n_columns = len(header) if body else 0
         because = f"the header names {n_columns}"
-        first = found[1 + n_units + n_headers + n_apart][0] if body else len(sample) + 1
+        first = found[1 + n_below][0] if body else len(sample) + 1
     else:
         n_columns, trailing, first = width - empty, empty, 1
         because = f"line {preamble + found[0][0] if found else 0} has {n_columns}"
     clean = functools.partial(_clean, delimiter, trailing, framed=framed)
     shape = (n_columns, because, preamble + first, tuple(header))
     table = Table(path, delimiter, *shape, clean if delimiter != "," or trailing else None)
-    skipped = "a row of units" if n_units else ""
-    skipped = f"rows unlike the others: {n_apart}, from {shown} on" if n_apart else skipped
     return replace(table, text_columns=text, clocks=clocks, skipped=skipped)
 
 
@@ -351,23 +345,24 @@ def _are_units(row: Sequence[str], following: Sequence[str], delimiter: str | No
     return bool(cells) and len(text) == len(cells) and len(row) == len(following) and bool(below)
 
 
-def _count_apart(body: Sequence[Sequence[str]]) -> int:
-    """Count rows below a header that are not readings: numbers, places or gains of the sensors.
+def _rows_below(
+    header: list[str], body: Sequence[Sequence[str]], delimiter: str | None
+) -> tuple[list[str], int, str]:
+    """Return the whole header, the number of rows below it that are no readings, and their kind.
 
-    Such rows count, are two rows of a lattice, or have fractions above whole numbers.
+    Such a row gives units, or numbers columns of equal names, like a second header of pandas; or
+    rows count, are two rows of a lattice, or have fractions above whole numbers.
     """
-    if len(body) < _MIN_COMPARED or len(body[0]) < _MIN_PLACES:
-        return 0
-    if _counts(body[0]):
-        return 1
-    places = [[parse_number(c) if is_number(c) else np.nan for c in row] for row in body[:2]]
-    steps = [{*np.diff(sorted({*row})).round(6).tolist()} for row in places]
-    cells, fewest = {*zip(*places, strict=False)}, min(len({*row}) for row in places)
-    regular = [len(each) for each in steps] == [1, 1] and fewest > len(places)
-    if regular and len(cells) == len(body[0]):
-        return 2
-    whole = not any(set(cell) & set(".,") for row in body[1:] for cell in row)
-    return int(whole and bool(np.mean(np.mod(places[0], 1) > 0) > 0.5))
+    if not header or len(body) < 2:
+        return header, 0, ""
+    if _are_units(body[0], body[1], delimiter):
+        return header, 1, "a row of units"
+    if _are_numbers_of(header, body[0]):
+        pairs = zip(header, body[0], strict=True)
+        return [f"{name}.{number}" if name else "" for name, number in pairs], 1, ""
+    n_apart = _count_apart(body)
+    shown = f"rows unlike the others: {n_apart}, from {join_items(body[0], 4)} on"
+    return header, n_apart, shown if n_apart else ""
 
 
 def _are_numbers_of(header: Sequence[str], row: Sequence[str]) -> bool:
@@ -378,6 +373,20 @@ def _are_numbers_of(header: Sequence[str], row: Sequence[str]) -> bool:
         return False
     expected = ([str(i + k) for n in counts.values() for i in range(n)] for k in (0, 1))
     return sorted(numbers) in map(sorted, expected)
+
+
+def _count_apart(body: Sequence[Sequence[str]]) -> int:
+    """Count rows that are not readings: numbers, places or gains of the sensors."""
+    if len(body) < _MIN_COMPARED or len(body[0]) < _MIN_PLACES:
+        return 0
+    places = [[parse_number(c) if is_number(c) else np.nan for c in row] for row in body[:2]]
+    steps = [{*np.diff(sorted({*row})).round(6).tolist()} for row in places]
+    cells, fewest = {*zip(*places, strict=False)}, min(len({*row}) for row in places)
+    if [len(each) for each in steps] == [1, 1] and fewest > 2 and len(cells) == len(body[0]):
+        return 2
+    whole = not any(set(cell) & set(".,") for row in body[1:] for cell in row)
+    fractions = whole and bool(np.mean(np.mod(places[0], 1) > 0) > 0.5)
+    return int(_counts(body[0]) or fractions)
 
 
 def _find_nested(path: Path, sample: Sequence[str]) -> Table | None:
@@ -471,8 +480,9 @@ def _doubt_of(blocks: NDArray[np.float64]) -> str:
 def _looks_like_header(
     delimiter: str | None, first: Sequence[str], second: Sequence[str] = ()
 ) -> bool:
-    if not all(is_number(field, delimiter) for field in first):
-        return True
+    numbers = [field for field in first if is_number(field, delimiter)]
+    if len(numbers) < len(first):  # some may be words in a line of readings
+        return 2 * len(numbers) <= len(first) or len({*numbers}) == len(numbers)
     if first and not first[0].strip():
         first, second = first[1:], second[1:]
     return _counts(first) and not (second and _counts([*first, second[0]]))

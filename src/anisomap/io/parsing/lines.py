@@ -8,6 +8,7 @@ different text does not fit.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections import Counter
@@ -25,6 +26,8 @@ _TIME = (
     r"(?:\s?[AaPp][Mm]\b)?(?:Z|[-+]\d{2}:?\d{2})?"
 )
 _DATE = r"(?:\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[-/.]\d{1,2}[-/.]\d{4})"
+ADDRESS = r"(?:\d{1,3}(?:\.\d{1,3}){3}(?::\d+)?|(?:[0-9A-Fa-f]{2}:){5}[0-9A-Fa-f]{2})"
+"""Pattern of an address in a network."""
 _WORDS = r"[-+]?(?:nan|inf|infinity|null|none|n/a|na)(?![\w/])"
 _START = r"(?<![\w.:/])"
 # A number that is followed by the rest of the word, as the first one of T0_1 in "T0_1: 12".
@@ -33,7 +36,7 @@ _IN_LABEL = r"\w*[A-Za-z_]\w*(?:[\])}\"']*\s*(?::|=|->|>)|\s+[-+]?\.?\d)"
 
 def _tokens(number: str) -> re.Pattern[str]:
     return re.compile(
-        rf"{_START}(?:{WITH_MONTH}|{_DATE}(?:[T\s]+{_TIME})?|{_TIME})(?![\w:])"
+        rf"{_START}(?:{ADDRESS}|{WITH_MONTH}|{_DATE}(?:[T\s]+{_TIME})?|{_TIME})(?![\w:])"
         rf"|(?<![\w.])(?:[-+]?{number}(?:[eE][-+]?\d+)?|{_WORDS})"
         rf"|(?<=[A-Za-z_])\d+(?:\.\d+)?(?!{_IN_LABEL})",
         re.IGNORECASE,
@@ -53,6 +56,7 @@ _LISTED = re.compile(r"[\s,;]+")
 _COMMA, _NUMBER = re.compile(r"\d,\d"), re.compile(r"(?<!\w)\d")
 _LOOKED_AT = 400  # lines
 _MIN_VALUES, _MIN_SHARE = 2, 0.5  # values; share of the examined lines that fit
+_MIN_ALIKE, _MIN_LIST, _MIN_LISTED = 8, 3, 0.6  # lines; steps of a list; share of the values
 PREFIX = "prefix"
 """Name of a number without a name before the values, such as ``17: 0, 12``."""
 _SEPARATORS, _MARKS = re.compile(r"[,;|\t]"), re.compile(r"[:=>]")
@@ -160,7 +164,8 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
     if not stamped and not "".join(raw).strip(" ,;|\t"):  # a table with some wrong cells
         return None
     first = [tokens[0] for tokens in columns]
-    clocks = frozenset(i for i, s in enumerate(first) if ":" in s or parse_clock(s) is not None)
+    times = [":" in s or parse_clock(s) is not None for s in first]
+    clocks = frozenset(i for i, s in enumerate(first) if times[i] and not re.fullmatch(ADDRESS, s))
     labels = [
         i for i in range(1, len(columns)) if _is_glued(raw, i) and _ENDS_LABEL.match(raw[i + 1])
     ]
@@ -169,13 +174,27 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
             f"the labels of the values must not change, as in {quote(example.strip())}"
         )
     constant = [i for i, tokens in enumerate(columns) if len({*tokens}) == 1 and i not in clocks]
-    fixed = {i: first[i] for i in constant if _labels(raw, i)}
+    fixed = {i: first[i] for i in constant if _labels(raw, i) or re.fullmatch(ADDRESS, first[i])}
+    if len(alike) >= _MIN_ALIKE:
+        outside = _outside([i for i in range(len(columns)) if i not in fixed], raw)
+        fixed |= {i: first[i] for i in constant if i in outside}
     names = _names(raw, columns, fixed, clocks)
     if not names:
         return None
     kept = [i for i in range(len(columns)) if i not in fixed]
     at = frozenset(kept.index(i) for i in clocks)
     return count / len(lines), {*texts[1:-1]}, Template(texts, fixed, names, decimal, at, example)
+
+
+def _outside(kept: Sequence[int], raw: Sequence[str]) -> set[int]:
+    """Return the values before and after a list of most values, with equal text between them."""
+    between = ["".join(raw[i + 1 : k + 1]).split() for i, k in itertools.pairwise(kept)]
+    runs = [(len([*run]), mark) for mark, run in itertools.groupby(between)]
+    ends = [0, *itertools.accumulate(length for length, _ in runs)]
+    length, k = max(((length, -k) for k, (length, _) in enumerate(runs)), default=(0, 0))
+    if length < max(_MIN_LIST, _MIN_LISTED * len(kept)):
+        return set()
+    return {*kept} - {*kept[ends[-k] : ends[-k] + length + 1]}
 
 
 def _labels(raw: Sequence[str], i: int) -> bool:

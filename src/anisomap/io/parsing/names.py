@@ -170,16 +170,14 @@ def roles_by_content(table: NDArray[np.float64]) -> Roles:
     if rising not in ([0], [0, 1]) or len(rising) == n_columns:
         return Roles()
     first, last = table[:, 0], table[:, rising[-1]]
-    counts = _counts_by_one(first)
+    counts, steady = _counts_by_one(first), _is_steady(last)
     if len(rising) == 1 and counts:
         return Roles(counter=0, non_sensors=(0,))
-    if not _is_steady(last) or (len(rising) == 2 and not counts):
+    if not steady or not (len(rising) == 1 or counts or _is_steady(first)):
         return Roles()
-    counter = 0 if len(rising) == 2 else None
-    clock = clock_of("", last)
-    return Roles(
-        rising[-1], clock.per_second, clock.doubt, counter=counter, non_sensors=tuple(rising)
-    )
+    counter, time = (0, rising[-1]) if len(rising) == 2 and counts else (None, 0)
+    clock = clock_of("", table[:, time])
+    return Roles(time, clock.per_second, clock.doubt, counter=counter, non_sensors=tuple(rising))
 
 
 def warn_of_guesses(path: Path, header: Sequence[str], roles: Roles) -> None:

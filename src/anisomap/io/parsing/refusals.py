@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from anisomap.base.clocks import is_time, words_of
 from anisomap.errors import FileError
 from anisomap.io.parsing.detection import is_list
-from anisomap.io.parsing.names import COUNTER_NAMES
+from anisomap.io.parsing.names import COUNTER_NAMES, Roles
 from anisomap.io.parsing.source import RefusedError, quote, quote_if_needed
 from anisomap.io.parsing.tables import Table, all_records, is_number, is_skipped
 
@@ -76,7 +76,7 @@ _DOTS = r"(?:\.{3}|\u2026)"
 _LEFT_OUT = re.compile(rf"(?:^|[\s,;|\[])(?:{_DOTS})(?=[\s,;|\]]|$)")
 _ROWS_LEFT_OUT = re.compile(r"[\s\[]*+(?:(?:\.{2,3}|\u2026)[\s,]*+)++")
 _MIN_SHARE = 0.3  # of lines without their middle
-_DOCUMENT = re.compile(r"\s*+\[\s*+\[")
+_DOCUMENT, _FRAMES = re.compile(r"\s*+\[\s*+\["), re.compile(r"[\])]\s*+,\s*+[\[(]")
 _BYTES = r"(?<![\w.])(?:(?:[0-9A-F]{2}){1,2}h?[\s,]+)"
 # Minimum share of lines that match a pattern, and the message.
 # fmt: off
@@ -92,11 +92,17 @@ _KINDS = (
     (0.0, r"^\s*Columns 1 (?:through|and) \d+:?$|^\s*[\d.]+e[-+]\d+ \*$"
      r"|^\[[-+.\de]+[\s,][^\[\];]*;(?:[^\[\];]*;){64,}[^\[\]]*\]$",
      "holds an array as MATLAB prints it, as in {}: use writematrix(array, 'run.csv')"),
+    (0.5, r"\bb(['\"]).*\\x[0-9a-f]{2}.*\1",
+     "holds bytes as Python prints them, as in {}: print list(data)"),
+    (0.0, r"\0", "is UTF-16 text or binary, as in {}: write UTF-8"),
+    (0.0, r"\w +\\$", "wraps its lines, as in {}: in pandas, use to_csv"),
     (0.0, r"^#(?:group|datatype),", "is a table of InfluxDB, with {}: pivot it by _time, _field"),
     (0.02, r"^\s*\{$", "has objects of JSON on several lines, as in {}: write each on one line"),
 )
 # fmt: on
 _ECHO, _ECHO_KEY = re.compile(r"---\s*"), re.compile(r"\s*(?:- )?[A-Za-z_]\w*:(?:\s|$)")
+_OF_BOARDS = "names boards, whose lines are no frames: write all readings of a frame in one line"
+_KEEP = "give --keep if it is a sensor"
 _MOST_LINES, _LEAST_ROWS, _CYCLIC = 64, 20, 0.95  # of a frame; of a table; share of steps
 _COLUMNS_LOOKED_AT = 3
 _LEAST_CHANGING, _MOST_COLUMNS, _RESEMBLING = 3, 64, 0.75  # to find lines that resemble each other
@@ -130,6 +136,8 @@ def refuse_text(path: Path, sample: Sequence[str]) -> None:
         _refuse_events(path, lines[:_ROWS_LOOKED_AT])
     if len(lines) == 1 and _DOCUMENT.match(lines[0]):
         raise RefusedError(f"{path} is a single line of JSON", _IN_PYTHON.format("json.load(file)"))
+    if len(lines) == 1 and len(_FRAMES.findall(lines[0])) > _MIN_GROUPED:
+        raise RefusedError(f"{path} holds several frames in a single line: write a line for each")
     numeric = [any(map(str.isdigit, line)) for line in lines]
     cut = [i for i, line in enumerate(lines) if numeric[i] and _LEFT_OUT.search(line)]
     inside = (i for i in range(1, len(lines)) if numeric[i - 1])
@@ -197,14 +205,17 @@ def lines_per_frame(rows: NDArray[np.float64]) -> int:
     return least + 1 if least and fits else 0
 
 
-def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -> None:
+def refuse_turned(
+    table: Table, sample: Sequence[str], roles: Roles, start: NDArray[np.float64]
+) -> None:
     """Raise RefusedError for a table with several lines per frame, or a line per sensor.
 
-    known: Columns that are a time or a counter.
+    start (t, n_columns): The first rows.
     """
     if table.block or table.nested:
         return
-    rows = rows_of(table, sample)
+    rows, known = rows_of(table, sample), {*roles.non_sensors} - {*table.text_columns}
+    readings = np.delete(start, roles.non_sensors, axis=1)
     for i in range(min(_COLUMNS_LOOKED_AT, table.n_columns)):
         named = table.names[i].strip() if table.names else ""
         cells = [row[i] for row in rows]
@@ -218,14 +229,16 @@ def refuse_turned(table: Table, sample: Sequence[str], known: Collection[int]) -
             raise RefusedError(f"{table.path}: {problem}, that is, transpose the table")
         counts = i in known or (named and named.lower() in COUNTER_NAMES)
         levels = [] if counts else _cycle(cells)
+        if not counts and (not named or words & _LINE_WORDS) and _alternate(cells, readings):
+            raise RefusedError(f"{table.path}: {label} {_OF_BOARDS}", _KEEP)
         text = bool(levels) and not is_number(levels[0])
         evident = text or bool(table.numeric) or words & _LINE_WORDS
         if levels and (evident or _number_frames(rows, len(levels))):
             long = f"; {_pivot(*table.names)}" if len(table.names) == 3 and i == 1 else ""
             shown = ", ".join([*map(quote_if_needed, levels[:3]), "..."][: len(levels) + 1])
             problem = f"repeats {shown}, so that {len(levels)} lines seem to be a frame"
-            remedy = f"write them in one line; give --keep if it is a sensor{long}"
-            raise RefusedError(f"{table.path}: {label} {problem}: {remedy}")
+            problem = f"{problem}: write them in one line"
+            raise RefusedError(f"{table.path}: {label} {problem}", f"{_KEEP}{long}")
 
 
 def rows_of(table: Table, sample: Sequence[str]) -> list[list[str]]:
@@ -263,6 +276,22 @@ def _cycle(cells: Sequence[str]) -> list[str]:
     following = dict(zip(levels, [*levels[1:], levels[0]], strict=True))
     in_order = sum(steps[pair] for pair in following.items())
     return levels if in_order >= _CYCLIC * (len(cells) - 1) else []
+
+
+def _alternate(cells: Sequence[str], readings: NDArray[np.float64]) -> bool:
+    """Return whether lines resemble the line before with the same cell, more than that before."""
+    (levels, places), n_rows = np.unique(cells, return_inverse=True), min(len(cells), len(readings))
+    places, readings = places[:n_rows], readings[:n_rows]
+    usual = np.abs(np.diff(readings, axis=0))[np.diff(places) != 0]
+    if not 2 <= len(levels) <= min(_MOST_LINES, n_rows / _LEAST_ROWS) or len(usual) < n_rows / 10:
+        return False
+    if any(is_number(level) and not level.strip().isdecimal() for level in levels.tolist()):
+        return False
+    same = [np.abs(np.diff(readings[places == k], axis=0)) for k in range(len(levels))]
+    usual, change = usual.mean(axis=0), np.concatenate(same).mean(axis=0)
+    moved = usual > 0
+    few = np.count_nonzero(moved) < _LEAST_CHANGING
+    return not few and bool(np.median(change[moved] / usual[moved]) < _RESEMBLING)
 
 
 def _refuse_events(path: Path, lines: Sequence[str]) -> None:

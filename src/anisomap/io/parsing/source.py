@@ -25,8 +25,9 @@ Item = TypeVar("Item")
 Line = TypeVar("Line", str, bytes)
 
 _MIN_REPORTED_LOSS = 0.005
-# Colours of terminals, and checksums as of NMEA 0183.
+# Colours of terminals, and checksums as of NMEA 0183; titles of terminals and other controls.
 _APART = re.compile(r"\x1b\[[0-9;?]*+[ -/]*+[@-~]|(?<=[\w.\])])\*[0-9A-Fa-f]{2}(?=\s*$)")
+_CONTROLS = re.compile(r"\x1b\][^\x07\x1b]*+\x07?|[\x01-\b\x0e-\x1b]")
 _ERRORS = re.compile(r"#(?:N/A|(?:VALUE|DIV/0|NUM|REF|NULL)!|NAME\?)")  # of spreadsheets
 
 
@@ -34,13 +35,13 @@ class RefusedError(FileError):
     """Lines that can be read, but not with the intended meaning, even if some are left out."""
 
 
-_SAID: ContextVar[list[tuple[str, str]] | None] = ContextVar("said", default=None)
+_SAID: ContextVar[list[tuple[str, str, str]] | None] = ContextVar("said", default=None)
 
 
 @contextmanager
-def said_here() -> Iterator[list[tuple[str, str]]]:
-    """Collect files and messages of `warn` in this thread, instead of warning."""
-    said = list[tuple[str, str]]()
+def said_here() -> Iterator[list[tuple[str, str, str]]]:
+    """Collect the arguments of `warn` in this thread, instead of warning."""
+    said = list[tuple[str, str, str]]()
     token = _SAID.set(said)
     try:
         yield said
@@ -48,12 +49,16 @@ def said_here() -> Iterator[list[tuple[str, str]]]:
         _SAID.reset(token)
 
 
-def warn(path: Path | str, problem: str) -> None:
-    """Warn about a file whose map or recording is used nevertheless."""
+def warn(path: Path | str, problem: str, remedy: str = "") -> None:
+    """Warn about a file whose map or recording is used nevertheless.
+
+    remedy: What users of files can do, such as give an option.
+    """
     if (said := _SAID.get()) is not None:
-        said.append((str(path), printable(problem)))
+        said.append((str(path), printable(problem), remedy))
         return
-    warnings.warn(f"{path}: {printable(problem)}", AnisomapWarning, stacklevel=3)
+    text = "; ".join(filter(None, (problem, remedy)))
+    warnings.warn(f"{path}: {printable(text)}", AnisomapWarning, stacklevel=3)
 
 
 def warn_of_loss(path: Path, error: BaseException, found: str, fraction: float) -> None:
@@ -163,9 +168,11 @@ class TextLines(io.TextIOWrapper):
 
 
 def plain(line: str) -> str:
-    """Remove colours and a checksum from a line; cells that are errors become NaN."""
+    """Remove control characters and a checksum from a line; cells that are errors become NaN."""
     if "\x1b" in line or "*" in line:
         line = _APART.sub("", line)
+    if not (line[:-1].isprintable() or '"' in line):  # names in quotes may have controls
+        line = _CONTROLS.sub("", line)
     return _ERRORS.sub("nan", line) if "#" in line else line
 
 
@@ -186,7 +193,8 @@ def open_text(path: Path) -> Iterator[TextLines]:
     """Open a file as UTF-8 text: decompressed, without byte order mark, with its line ends."""
     with _open(path) as (stream, raw):
         start = _read_start(stream)
-        if start.startswith(_UTF16):
+        nulls = {place % 2 for place, byte in enumerate(start) if not byte}
+        if start.startswith(_UTF16) or len(nulls) == 1:
             raise FileError(f"{path} is UTF-16 text; save it as UTF-8")
         if b"\0" in start:
             raise FileError(f"{path} is binary, not text")

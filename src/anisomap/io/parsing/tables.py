@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from anisomap.base.clocks import parse_clock
 from anisomap.errors import FileError, InputError
-from anisomap.io.parsing.lines import MisfitError
+from anisomap.io.parsing.lines import ADDRESS, MisfitError
 from anisomap.io.parsing.source import (
     GZIP_ERRORS,
     Item,
@@ -90,7 +90,8 @@ def is_number(cell: str, delimiter: str | None = ",") -> bool:
 def is_label(cell: str) -> bool:
     """Return whether a cell is text without a number: ``left``, or a name such as ``S01``."""
     text = cell.strip()
-    return not _IN_TEXT.search(text) or text[-1] == ":" or bool(_IDENTIFIER.fullmatch(text))
+    named = _IDENTIFIER.fullmatch(text) or re.fullmatch(ADDRESS, text)
+    return not _IN_TEXT.search(text) or text[-1] == ":" or bool(named)
 
 
 _REMEDIES = {
@@ -367,7 +368,7 @@ def read_blocks(
 def is_short(lines: Sequence[str]) -> bool:
     """Return whether the last number of the last line has fewer characters than in all others."""
     *before, last = (len(line.rstrip()) - len(line.rstrip().rstrip(_DIGITS)) for line in lines)
-    return len(before) >= _MIN_FIRST_ROWS and last < min(before)
+    return len(before) >= _MIN_FIRST_ROWS and bool(lines[-1].strip()) and last < min(before)
 
 
 def first_rows(table: Table, n_rows: int) -> NDArray[np.float64]:

@@ -23,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anisomap.base.clocks import Continued, is_date, words_of
-from anisomap.base.columns import odd_names
 from anisomap.base.wording import join_items, printable
 from anisomap.errors import FileError, InputError
 from anisomap.files.budget import SENSOR_BYTES, Budget
@@ -71,7 +70,7 @@ _WHOLE = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?![\d.,])")
 _THOUSANDS = re.compile(r"[1-9]\d{0,2}[,.]\d{3}")
 _ROW, _CYCLIC = {"row", "line", "zeile"}, 0.9  # words; share of steps to the next row
 _MIN_NUMBERED, _FRAMES = 3, {"", "frame", "frames", "sample", "index"}  # of several rows
-_MIN_WRITTEN, _MOST_SAME = 20, 0.05  # rows; share of lines that were sent twice
+_MOST_SAME = 0.05  # share of lines that were sent twice
 _MARKS = {*(float(s * (10**k - 1)) for k in (4, 5, 6) for s in (-1, 1)), -1.0, -99.0, -999.0}
 _MARKS |= {2.0**15 - 1, 2.0**16 - 1, 2.0**31 - 1, 2.0**32 - 1, -(2.0**15), -(2.0**31)}
 _MIN_SPAN, _MIN_FALLS, _MOST_MISSING = 8, 3, 0.1
@@ -169,14 +168,14 @@ def stream_of(
             non_sensors = (*roles.non_sensors, *matrix.columns)
             roles = dataclasses.replace(roles, non_sensors=non_sensors)
         elif not options.keep:
-            refusals.refuse_turned(table, sample, {*roles.non_sensors} - {*table.text_columns})
+            refusals.refuse_turned(table, sample, roles, start)
             roles = _without_frame_numbers(table, roles, options.grid, start)
             rows = refusals.rows_of(table, sample[: table.first_line + 99])
-            roles = _without_unlike(table, roles, rows)
-    n_sensors = table.n_columns - len(roles.non_sensors)
-    if n_sensors < 1:
+            roles = _without_offset(table, roles, rows)
+    kept = [i for i in range(table.n_columns) if i not in roles.non_sensors]
+    if (n_sensors := len(kept)) < 1:
         raise FileError(f"{path} holds times or a frame counter, but no sensor")
-    names = tuple(name for i, name in enumerate(names) if i not in roles.non_sensors)
+    names = tuple(names[i] for i in kept) if names else ()
     facts: dict[str, Any] = {"names": names if all(names) or known or table.delimiter else ()}
     size = (matrix.height, n_sensors) if matrix else table.block or (0, 0)
     if matrix or size[0] * size[1] == n_sensors:
@@ -203,6 +202,7 @@ def stream_of(
         metadata=metadata if known else _column_metadata(table, roles),
         from_zero=roles.time in table.clocks,
         raw_columns=not known,
+        columns=() if size[0] else tuple(kept),
         locate=None if known or matrix else functools.partial(line_of, table),
         **facts,
     )
@@ -373,20 +373,16 @@ def _without_frame_numbers(
     )
 
 
-def _without_unlike(table: Table, roles: Roles, rows: Sequence[Sequence[str]]) -> Roles:
-    """Leave out a first or last column if it alone has decimals, or it alone has none."""
-    left = [i for i in range(table.n_columns) if i not in roles.non_sensors]
-    if len(rows) < _MIN_WRITTEN or len(left) <= _MIN_NUMBERED or table.block:
+def _without_offset(table: Table, roles: Roles, rows: Sequence[Sequence[str]]) -> Roles:
+    """Leave out a first number without decimals before others with decimals, as ROS 2 prints it."""
+    first, rest = {row[0] for row in rows}, [cell for row in rows for cell in row[1:]]
+    if table.names or roles.non_sensors or len(first) != 1 or table.n_columns <= _MIN_NUMBERED:
         return roles
-    written = {i: {bool(_POINT.search(row[i])) for row in rows if row[i]} for i in left}
-    for i in {left[0], left[-1]} & {*(odd_names(table.names) if table.names else left)}:
-        others = {frozenset(written[k]) for k in left if k != i}
-        if len(written[i]) == 1 and others == {frozenset({True, False} - written[i])}:
-            how = "with" if True in written[i] else "without"
-            problem = f"{_column_label(table, i)} is written {how} decimals, unlike all others"
-            warn(table.path, f"{problem}, and is left out; give --keep to choose others")
-            return dataclasses.replace(roles, non_sensors=tuple(sorted({i, *roles.non_sensors})))
-    return roles
+    if _POINT.search(min(first)) or not all(map(_POINT.search, rest)):
+        return roles
+    problem = "column 1 is left out: it is constant without decimals, unlike all others"
+    warn(table.path, problem, "give --keep to choose others")
+    return dataclasses.replace(roles, non_sensors=(0,))
 
 
 def _warn_of_commas(path: Path, sample: Sequence[str]) -> None:
@@ -493,7 +489,7 @@ class _Present:
         frame = self._n_frames + int(np.argmax(places.any(axis=1)))
         listed = f"{join_items(found, 3)} (first in frame {frame}), and perhaps later"
         keep = "to keep it, make the recording in Python: anisomap.Recording(pandas.read_csv(path))"
-        warn(self.path, f"{mark:g} stands for a missing reading in {listed}; {keep}")
+        warn(self.path, f"{mark:g} stands for a missing reading in {listed}", keep)
 
 
 def _is_missing(rows: NDArray[np.float64], mark: float, limits: Any) -> NDArray[np.bool_]:

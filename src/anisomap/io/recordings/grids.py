@@ -24,7 +24,11 @@ from anisomap.io.presets import UNITS, grid_names, grid_positions
 from anisomap.io.stream import Frame, ReadOptions, Stream, stack_frames
 
 # Possessive quantifiers keep the time linear in the length of a line.
-_FRAME = re.compile(r'\s*+"?frame"?[\s:,;#"]*+\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?$', re.IGNORECASE)
+_FRAME = re.compile(
+    r'\s*+"?frame"?[\s:,;#"]*+\d++"?[\s,;]*+(of\s++\d++[\s,;]*+)?'
+    r"([\d.]++\s*+m?s(ec)?\s*+)?$",
+    re.IGNORECASE,
+)
 _ENTRY = re.compile(
     r'\s*+"?([A-Za-z](?:[A-Za-z_]| ++(?=[A-Za-z_]))*+)(?:"?[\s:,;=]++)++"?'
     r'([-+]?\d++(?:[.,]\d++)?+)"?\s*+([A-Za-z]*+)'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,12 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from anisomap.errors import InputError
+from anisomap.base.columns import UNLIKE, find_others, said_of
+from anisomap.base.wording import shortened
+from anisomap.errors import MAX_CHARACTERS, FileError, InputError
 from anisomap.io.columns import sensors_of
 from anisomap.io.parsing import tables
 from anisomap.io.parsing.names import ROWS_LOOKED_AT
 from anisomap.io.parsing.refusals import lines_per_frame
-from anisomap.io.parsing.source import RefusedError, plain, quote, said_here
+from anisomap.io.parsing.source import RefusedError, file_errors, plain, quote, said_here
 from anisomap.io.presets import grid_names, in_grid
 from anisomap.io.recordings.delimited_text import layout_of, stream_of
 from anisomap.io.stream import ReadOptions, doubt_of_rows
@@ -35,7 +36,6 @@ _COMPARED = 50  # lines, with one that may be cut
 _MOST_UNREAD = 20  # successive lines that do not fit, before the layout is detected again
 _MAX_BAD = 0.1  # share of the lines for the detection of the layout
 _WHERE = Path("the stream")  # in errors of file readers
-_OPTIONS_OF_FILES = re.compile(r"[;,] (?:(?:give|choose with) --(?:keep|axis)|to keep it)[^;]*")
 
 
 class LineParser:
@@ -78,7 +78,7 @@ class LineParser:
             self._overlong = False
             del lines[0]
             yield Notice(f"ignored a line of more than {MAX_LINE} bytes")
-        texts = [plain(line.decode("utf-8-sig", "replace") + "\n") for line in lines]
+        texts = [plain(_decoded(line) + "\n") for line in lines]
         if cut and lines and tables.is_short([*self._last, *texts]):
             yield Notice(f"ignored the last line, which is cut: {quote(texts.pop())}")
         self._last = [*self._last, *texts][-_COMPARED:]
@@ -94,12 +94,13 @@ class LineParser:
 
     def _read(self, lines: Sequence[str], *, ended: bool = False) -> Iterator[Item]:
         try:
-            yield from self._items(lines, ended=ended)
-            while self._reader and self._reader.others:
-                yield from self._items([], ended=ended)
-        except Exception as error:  # a defect must not end the session
+            with file_errors(_WHERE):
+                yield from self._items(lines, ended=ended)
+                while self._reader and self._reader.others:
+                    yield from self._items([], ended=ended)
+        except FileError as error:
             self._reader, self._held, self._n_filled = None, [], 0
-            yield Notice(f"ignored lines without a frame: {error!r}")
+            yield Notice(f"ignored lines without a frame: {error}")
 
     def _items(self, lines: Sequence[str], *, ended: bool) -> Iterator[Item]:
         if self._reader:
@@ -122,28 +123,30 @@ class LineParser:
         # The first lines may differ: they may be cut off, or from the start of a board.
         for start in dict.fromkeys((0, 1, len(held) // 2)):
             try:
-                with said_here() as said:
+                with said_here() as said, file_errors(_WHERE):
                     self._reader = _Reader(held[start:], self._options)
-            except Exception as error:
-                problem = problem or str(error)
+            except FileError as error:
+                problem = problem or error.problem
                 if isinstance(error, RefusedError):
                     break
                 continue
             if start > 1:
                 yield Notice(f"skipped the first {start} lines: {problem}")
-            yield from _notices(said)
+            self._reader.told = [text for _, text, _ in said]
+            yield from map(Notice, self._reader.told)
             self._held = []
             yield from self._reader.begin(waited, ended=ended)
             return
         del held[_LOOKED_AT : max(_LOOKED_AT, len(held) - _MAX_HELD)]
         self._n_filled = 0
-        yield Notice(f"no frame yet: {_OPTIONS_OF_FILES.sub('', problem)}")
+        yield Notice(f"no frame yet: {shortened(problem, MAX_CHARACTERS)}")
 
 
 class _Reader:
     """Reads successive lines in the layout of the first lines.
 
     others: The lines from the first one with another layout.
+    told: Warnings about the first lines.
     """
 
     def __init__(self, lines: Sequence[str], options: ReadOptions) -> None:
@@ -157,8 +160,9 @@ class _Reader:
         self._left, self._n_told, self._bad = tables.LeftOut(), 0, ""
         self._seen, self._n_seen = list[NDArray[np.floating]](), 0
         self._is_late, self._ended, self._has_grid = False, False, options.grid is not None
-        self._unread, self.others = list[str](), list[str]()
+        self._unread, self.others, self.told = list[str](), list[str](), list[str]()
         stream = stream_of(table, lines, start, self._rows, options)
+        self._is_named = bool(stream.names)
         stream = in_grid(sensors_of(stream, options), options.grid)
         self._stream, self._blocks, self._names = stream, stream.blocks, stream.names
         if options.grid:
@@ -185,15 +189,15 @@ class _Reader:
         self._pending += zip(self._numbers, lines, strict=False)
         with said_here() as said:
             block = next(self._blocks)
-        yield from _notices(said)
+        yield from (Notice(text) for _, text, _ in said)
         if len(block.readings):
             times = block.times
             is_known = times is not None and bool(np.isfinite(times).all())
             yield Batch(block.readings.astype(np.float64), times if is_known else None)
-            yield from self._look_again(block.readings)
             if times is not None and not self._is_late and (np.diff(times) <= 0).any():
                 self._is_late = True
                 yield Notice("times do not increase; times of arrival are used instead")
+        yield from self._look_again(block.readings)
         if ended and (doubt := doubt_of_rows(self._stream, self._n_seen)):
             yield Notice(doubt)
         if self._left.n_left > self._n_told and not self.others:
@@ -201,15 +205,20 @@ class _Reader:
             yield Notice(f"ignored lines without a frame: {self._n_told}, such as {self._bad}")
 
     def _look_again(self, readings: NDArray[np.floating]) -> Iterator[Notice]:
-        """Yield a notice if lines may be rows of frames, once there are enough with contacts."""
-        if self._n_seen < ROWS_LOOKED_AT:
-            self._seen, self._n_seen = [*self._seen, readings], self._n_seen + len(readings)
-            if self._n_seen >= ROWS_LOOKED_AT:
-                height = lines_per_frame(np.concatenate(self._seen))
-                self._seen = []
-                if height:
-                    size = f"--grid {height}x{readings.shape[1]}"
-                    yield Notice(f"{height} lines seem to be a frame: start again with {size}")
+        """Yield notices about lines and columns, once there are enough with contacts."""
+        if self._n_seen >= ROWS_LOOKED_AT:
+            return
+        self._seen, self._n_seen = [*self._seen, readings], self._n_seen + len(readings)
+        if self._ended or self._n_seen >= ROWS_LOOKED_AT:
+            rows, self._seen = np.concatenate(self._seen), []
+            if height := lines_per_frame(rows):
+                size = f"--grid {height}x{rows.shape[1]}"
+                yield Notice(f"{height} lines seem to be a frame: start again with {size}")
+            names, numbers = self._stream.names * self._is_named, self._stream.columns
+            others, doubts = ({}, {}) if self._has_grid else find_others(names, rows)
+            text = said_of(names, others | doubts, UNLIKE, numbers)
+            if text and text not in self.told:
+                yield Notice(text)
 
     def _rows(self, *, repeats: bool = False) -> Iterator[tuple[NDArray[np.float64], float]]:
         """Yield the rows of received lines, possibly none, indefinitely."""
@@ -240,6 +249,14 @@ class _Reader:
         return [*tables.frame_lines(lines[:n_whole], table)]
 
 
+def _decoded(line: bytes) -> str:
+    """Decode UTF-8, or else Latin-1, which has a character for every byte."""
+    try:
+        return line.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
 def _parsed(
     lines: list[tables.Numbered], table: tables.Table, left: tables.LeftOut
 ) -> NDArray[np.float64]:
@@ -251,8 +268,3 @@ def _parsed(
     except tables.HeaderError as error:
         left.n_left, left.first = left.n_left + 1, error
     return np.concatenate(held)
-
-
-def _notices(said: Sequence[tuple[str, str]]) -> Iterator[Notice]:
-    """Yield warnings of file readers, without options that live sessions lack."""
-    yield from (Notice(_OPTIONS_OF_FILES.sub("", text)) for _, text in said)
