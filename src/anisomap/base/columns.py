@@ -304,31 +304,22 @@ def find_others(
     found |= {i: f"a quantity in {unit}" for i, unit in units.items() if _UNITS.fullmatch(unit)}
     if len(table) >= _MIN_ROWS:
         found |= {i: "mostly empty" for i in odd if np.isnan(table[:, i]).mean() > _MAX_SHARE}
-        table = table.astype(np.float64)
-        finite = np.isfinite(table)
-        high = np.max(table, axis=0, initial=-np.inf, where=finite)
-        moved = high > np.min(table, axis=0, initial=np.inf, where=finite)  # at rest, none
-        resting = [i for i in odd if not moved[i] and 2 * np.count_nonzero(moved) > len(moved)]
-        found |= {i: "constant" for i in resting if i not in found}
         by_values, unlike = _by_values(names, table, found, odd)
         found, doubts = found | by_values, doubts | unlike
-        if not (names or found) and _are_threes(table):
-            doubts |= dict.fromkeys(range(3), "x, y and z of a taxel?")
     n_sensors = table.shape[1] - len(found)
     return (found, doubts) if n_sensors >= _MIN_SENSORS else ({}, {})
 
 
-def _are_threes(table: NDArray[np.floating]) -> bool:
+def _are_threes(values: NDArray[np.float64]) -> bool:
     """Return whether the same one of each three columns changes most, by far."""
-    n_threes, rest = divmod(table.shape[1], len(XYZ))
+    n_threes, rest = divmod(values.shape[1], len(XYZ))
     if rest or n_threes < MIN_TAXELS:
         return False
-    spreads = np.nanstd(table, axis=0).reshape(n_threes, len(XYZ))
-    spreads = spreads[spreads.min(axis=1) > 0]
-    ordered = np.sort(spreads, axis=1)
-    clear = ordered[:, -1] > 2 * ordered[:, -2]
+    spreads = values.std(axis=0).reshape(n_threes, len(XYZ))
+    middle, most = np.sort(spreads, axis=1)[:, 1:].T
+    clear = (spreads.min(axis=1) > 0) & (most > 2 * middle)
     usual = np.bincount(spreads.argmax(axis=1)[clear], minlength=1).max()
-    return len(spreads) >= MIN_TAXELS and bool(usual > _MIN_FULL * n_threes)
+    return bool(usual > _MIN_FULL * n_threes)
 
 
 def _kinds_of_names(names: Sequence[str]) -> dict[int, str]:
@@ -377,10 +368,11 @@ def _by_values(
             modulo = ((total - 2 * values) % size == 0).all(axis=0) & varying
             modulo[-1] |= (not names or rest[-1] in odd) and _is_random(values, size[-1])
             found |= dict.fromkeys(np.flatnonzero(modulo).tolist(), "a checksum of all others")
-    n_sizes = 0 if names else _count_sizes(values)
-    found |= dict.fromkeys(range(n_sizes), "a number of values")
-    odd = [k for k, i in enumerate(rest) if i in odd]
-    sure, doubts = _unlike_others(values, found, odd if names else None)
+        found |= dict.fromkeys(range(0 if names else _count_sizes(values)), "a number of values")
+        odd = [k for k, i in enumerate(rest) if i in odd]
+        sure, doubts = _unlike_others(values, found, odd if names else None)
+        if not names and not sure and _are_threes(values):
+            doubts |= dict.fromkeys(range(len(XYZ)), "x, y and z of a taxel?")
     if len(found := sure | found) > _MAX_SHARE * len(rest):
         return {}, {}
     return {rest[k]: s for k, s in found.items()}, {rest[k]: s for k, s in doubts.items()}
@@ -423,6 +415,7 @@ def _unlike(
     low, high, least, most = moved.min(axis=0), moved.max(axis=0), column.min(), column.max()
     apart = bool(min(np.mean(low <= most), np.mean(high >= least)) <= _MOST_ALIKE)
     alone = apart or np.mean(others == least) < _RARE
+    above = apart and bool(least > np.median(high))
     narrow = apart and most - least < np.median(high - low) / _FEWER
     fractions, n_levels = (moved != np.floor(moved)).any(axis=0), len(np.unique(column))
     decimals = np.mean(column != np.floor(column)) > _MAX_SHARE and not fractions.any()
@@ -430,7 +423,7 @@ def _unlike(
     one_way = apart or (n_levels > _MIN_SENSORS and np.mean(_one_way(moved)) <= _MOST_ALIKE)
     tests = (
         (decimals or whole, f"with{'' if decimals else 'out'} decimals", True),
-        (least == most and alone, "constant", apart and bool(least > np.median(high))),
+        (least == most and (named or alone), "constant", named or above),
         (
             one_way and _one_way(column),
             f"it never {'falls' if steps.sum() > 0 else 'rises'}",

@@ -71,7 +71,7 @@ class Template:
     """The constant text of lines; a call converts a line to numbers.
 
     texts: Text before each token, and after the last, without blanks.
-    fixed: Indices of the tokens that are part of the text.
+    fixed: Tokens that are part of the text, by index; empty if they may change.
     names: Names of the values; empty if the text contains none.
     clocks: Indices of the values that are dates or times of the day.
     """
@@ -91,7 +91,8 @@ class Template:
     def __call__(self, line: str) -> str:
         """Return the values of a line, separated by commas."""
         texts, tokens = _split(line, self.decimal)
-        fits = texts == self.texts and all(tokens[i] == word for i, word in self.fixed.items())
+        fixed = (tokens[i : i + 1] == [word] for i, word in self.fixed.items() if word)
+        fits = texts == self.texts and all(fixed)
         if not fits:
             before = quote(self.example.strip())
             raise MisfitError(f"{quote(line.strip())} does not fit lines such as {before}")
@@ -175,9 +176,10 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
         )
     constant = [i for i, tokens in enumerate(columns) if len({*tokens}) == 1 and i not in clocks]
     fixed = {i: first[i] for i in constant if _labels(raw, i) or re.fullmatch(ADDRESS, first[i])}
-    if len(alike) >= _MIN_ALIKE:
-        outside = _outside([i for i in range(len(columns)) if i not in fixed], raw)
-        fixed |= {i: first[i] for i in constant if i in outside}
+    kept = [i for i in range(len(columns)) if i not in fixed]
+    if len(alike) >= _MIN_ALIKE and len(kept) > _MIN_LIST:
+        apart = _outside(kept, raw) & {*constant}
+        fixed |= {i: "" for i in apart if not raw[i].rstrip().endswith("=")}
     names = _names(raw, columns, fixed, clocks)
     if not names:
         return None
@@ -188,13 +190,11 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
 
 def _outside(kept: Sequence[int], raw: Sequence[str]) -> set[int]:
     """Return the values before and after a list of most values, with equal text between them."""
-    between = ["".join(raw[i + 1 : k + 1]).split() for i, k in itertools.pairwise(kept)]
-    runs = [(len([*run]), mark) for mark, run in itertools.groupby(between)]
-    ends = [0, *itertools.accumulate(length for length, _ in runs)]
-    length, k = max(((length, -k) for k, (length, _) in enumerate(runs)), default=(0, 0))
-    if length < max(_MIN_LIST, _MIN_LISTED * len(kept)):
-        return set()
-    return {*kept} - {*kept[ends[-k] : ends[-k] + length + 1]}
+    pairs = itertools.pairwise(kept)
+    between = {(i, k): "".join("".join(raw[i + 1 : k + 1]).split()) for i, k in pairs}
+    longest = max(([*run] for _, run in itertools.groupby(between, between.get)), key=len)
+    is_list = len(longest) >= max(_MIN_LIST, _MIN_LISTED * len(kept))
+    return {*kept} - {i for pair in longest for i in pair} if is_list else set()
 
 
 def _labels(raw: Sequence[str], i: int) -> bool:

@@ -281,7 +281,7 @@ def _cycle(cells: Sequence[str]) -> list[str]:
 def _alternate(cells: Sequence[str], readings: NDArray[np.float64]) -> bool:
     """Return whether lines resemble the line before with the same cell, more than that before."""
     (levels, places), n_rows = np.unique(cells, return_inverse=True), min(len(cells), len(readings))
-    places, readings = places[:n_rows], readings[:n_rows]
+    places, readings = places[:n_rows], np.where(np.abs(readings) < 1e30, readings, 0)[:n_rows]
     usual = np.abs(np.diff(readings, axis=0))[np.diff(places) != 0]
     if not 2 <= len(levels) <= min(_MOST_LINES, n_rows / _LEAST_ROWS) or len(usual) < n_rows / 10:
         return False
