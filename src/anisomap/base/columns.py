@@ -422,7 +422,7 @@ def _unlike(
     whole = _is_whole(column) and fractions.all() and n_levels > _MIN_SENSORS
     one_way = apart or (n_levels > _MIN_SENSORS and np.mean(_one_way(moved)) <= _MOST_ALIKE)
     tests = (
-        (decimals or whole, f"with{'' if decimals else 'out'} decimals", True),
+        (decimals or whole, f"with{'' if decimals else 'out'} decimals", bool(decimals)),
         (least == most and (named or alone), "constant", named or above),
         (
             one_way and _one_way(column),

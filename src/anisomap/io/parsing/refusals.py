@@ -94,7 +94,7 @@ _KINDS = (
      "holds an array as MATLAB prints it, as in {}: use writematrix(array, 'run.csv')"),
     (0.5, r"\bb(['\"]).*\\x[0-9a-f]{2}.*\1",
      "holds bytes as Python prints them, as in {}: print list(data)"),
-    (0.0, r"\0", "is UTF-16 text or binary, as in {}: write UTF-8"),
+    (0.5, r"\0", "is UTF-16 text or binary, as in {}: write UTF-8"),
     (0.0, r"\w +\\$", "wraps its lines, as in {}: in pandas, use to_csv"),
     (0.0, r"^#(?:group|datatype),", "is a table of InfluxDB, with {}: pivot it by _time, _field"),
     (0.02, r"^\s*\{$", "has objects of JSON on several lines, as in {}: write each on one line"),
