@@ -17,7 +17,7 @@ from anisomap.recording import Recording
 _WINDOW, _N_WINDOWS = 25, 8  # frames per level, and levels compared on either side
 _NOISE, _FINEST = 4.0, 1e-3  # least step in deviations of the noise; least noise relative to range
 _NEAR = 5  # frames on either side that contain most of a step
-_N_SIMILAR = 3
+_N_SIMILAR = 8
 _MAX_MOMENTS = 40  # maximum number of frames examined
 # If a contact moves a sensor, at most this share of similar sensors does not move to the same side;
 # and probability of a larger share by chance.
@@ -31,8 +31,8 @@ def find_steps(recording: Recording) -> Iterator[Found]:
     to the other side of 8 successive windows of 25 frames, unless a contact lasts for all windows.
     A sensor steps if its levels before and after a frame differ by 4 deviations of the noise,
     mostly within 5 frames, and if no level on one side of the step reaches the level on the other
-    side. A contact that begins and stays, or was present and ends, moves similar sensors to one
-    side. Sensors that step at a frame are found if too few of the most similar sensors move to the
+    side. A lasting contact that begins or ends moves levels of similar sensors to one side. Sensors
+    that step at a frame are found if the levels of too few of the most similar sensors move to the
     same side, by a binomial test, and if they step to both sides or no similar sensor moves.
     Sensors with fewer than 5 contacts are not judged.
     """
@@ -74,11 +74,11 @@ def find_steps(recording: Recording) -> Iterator[Found]:
         soon = np.median(np.lib.stride_tricks.sliding_window_view(near, _NEAR, axis=0), axis=-1)
         change = soon[_NEAR:] - soon[:-_NEAR]
         jumps = np.diff(near, axis=0)[_NEAR - 1 :][: len(change)]
-        score = np.clip(jumps[:, some] / step[k, some], -1, 1).sum(axis=1)
-        at = int(score.argmax())
-        sudden = np.abs(change[at]) > least / 2
-        some = some[change[at, some] / step[k, some] > 0.5]
-        if some.size and not _by_contact(some, np.sign(change[at]) * sudden, rows):
+        at = int(np.clip(jumps[:, some] / step[k, some], -1, 1).sum(axis=1).argmax())
+        beside = levels[k + _N_WINDOWS + 2] - levels[k + _N_WINDOWS - 2]
+        both = np.minimum(change[at, some] / step[k, some], beside[some] / step[k, some])
+        some = some[both > 0.5]
+        if some.size and not _by_contact(some, np.sign(np.fix(2 * beside / least)), rows):
             frames.add(begin + at)
             found[some] = True
     if frames:
