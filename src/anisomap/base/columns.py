@@ -275,7 +275,7 @@ _PHRASES = {
     "a temperature or humidity": re.compile(r"[\[(](?:\u00b0c|deg ?c)[\])]"),
     "a layout of the message": re.compile(r"\blayout\b|\bdata offset$"),
 }
-_MAX_SHARE, _MIN_SENSORS, _MAX_HEAD = 0.5, 3, 6
+_MAX_SHARE, _MIN_SENSORS, _MAX_HEAD, _MOST_CLOCKS = 0.5, 3, 6, 1
 _MIN_ROWS, _MAX_LEVELS, _MAX_SWITCHES = 20, 10, 0.1
 _MIN_FULL, _JUMPS = 0.9, (0.25, 0.42)  # of the range of a checksum
 # Shares of columns that may do as one that is unlike them, and of readings that may equal it.
@@ -406,7 +406,8 @@ def _unlike(
     column, others = values[:, k], np.delete(values, [k, *found], axis=1)
     steps, kind = np.diff(column), _kind(column)
     even = np.abs(steps - np.median(steps)) <= np.median(steps) / 2
-    is_time = not named and bool((steps > 0).all() and np.mean(even) > 1 - _MAX_SWITCHES)
+    is_even = (steps > 0).all() and np.mean(even) > 1 - _MAX_SWITCHES
+    is_time = not named and is_even and np.count_nonzero(_one_way(others)) <= _MOST_CLOCKS
     if is_time or kind == COUNTER or (named and kind):
         return kind or "a time", True
     moved = others[:, np.ptp(others, axis=0) > 0]
@@ -415,7 +416,6 @@ def _unlike(
     low, high, least, most = moved.min(axis=0), moved.max(axis=0), column.min(), column.max()
     apart = bool(min(np.mean(low <= most), np.mean(high >= least)) <= _MOST_ALIKE)
     alone = apart or np.mean(others == least) < _RARE
-    above = apart and bool(least > np.median(high))
     narrow = apart and most - least < np.median(high - low) / _FEWER
     fractions, n_levels = (moved != np.floor(moved)).any(axis=0), len(np.unique(column))
     decimals = np.mean(column != np.floor(column)) > _MAX_SHARE and not fractions.any()
@@ -423,11 +423,11 @@ def _unlike(
     one_way = apart or (n_levels > _MIN_SENSORS and np.mean(_one_way(moved)) <= _MOST_ALIKE)
     tests = (
         (decimals or whole, f"with{'' if decimals else 'out'} decimals", bool(decimals)),
-        (least == most and (named or alone), "constant", named or above),
+        (least == most and (named or alone), "constant", named),
         (
             one_way and _one_way(column),
             f"it never {'falls' if steps.sum() > 0 else 'rises'}",
-            apart,
+            False,
         ),
         (_are_few(column, moved), f"only {n_levels} values", False),
         (narrow, "apart from all others", False),

@@ -80,7 +80,7 @@ def count_preamble(sample: Sequence[str], *, padded: bool = False) -> int:
         if alike and len(rows) == _MIN_UNIFORM_ROWS:
             named = int(abs(widths[start - 1] - widths[start]) <= 1)
             cells = [_split(line, delimiter) for line in top[max(start - 2, 0) : start + 1]]
-            if named and len(cells[-2]) > 1 and not _looks_like_header(delimiter, cells[-2]):
+            if named and len(cells[-2]) > 1 and not _looks_like_header(delimiter, *cells[-2:]):
                 return start - 1  # a word in the first line of readings
             if named and len(cells) == 3 and widths[start - 2] == widths[start]:
                 named += _are_units(cells[1], cells[2], delimiter)
@@ -277,7 +277,11 @@ def _find_lines(path: Path, sample: Sequence[str], preamble: int) -> Table | Non
     names, header = template.names, _header_of(template, lines[start - 1 : start])
     named = bool(header) and not all(names)
     names = tuple(header) if named else names
-    return _of_lines(path, filled, start, names, convert=template, n_headers=int(named))
+    table = _of_lines(path, filled, start, names, convert=template, n_headers=int(named))
+    if "" in template.fixed.values():
+        apart = "constant numbers outside the list of readings"
+        table = replace(table, skipped=" and ".join(filter(None, (table.skipped, apart))))
+    return table
 
 
 def _header_of(template: Template, above: Sequence[str]) -> list[str]:
@@ -482,7 +486,10 @@ def _looks_like_header(
 ) -> bool:
     numbers = [field for field in first if is_number(field, delimiter)]
     if len(numbers) < len(first):  # some may be words in a line of readings
-        return 2 * len(numbers) <= len(first) or len({*numbers}) == len(numbers)
+        pairs = zip(first, second, strict=False)
+        named = [c for f, c in pairs if not is_number(f, delimiter)]
+        above = bool(named) and not any(is_missing(c) or not is_number(c, delimiter) for c in named)
+        return above or 2 * len(numbers) <= len(first) or len({*numbers}) == len(numbers)
     if first and not first[0].strip():
         first, second = first[1:], second[1:]
     return _counts(first) and not (second and _counts([*first, second[0]]))

@@ -53,6 +53,7 @@ _NAME_ENDS, _NAME_STARTS = " \t\r\n\"'([{", " \t\r\n\"')]}{"
 _UNIT = re.compile(r"\A[^\W\d_]+(?=[\s,;])")  # behind a value
 _ID = re.compile(r".*\.\d+\.(?:id|idx|index|taxel|sensor|channel)")  # of objects in a list
 _LISTED = re.compile(r"[\s,;]+")
+_NAMED = re.compile(r"(?:[^\W\d_][\[(]?|[:=>])\s*\Z")  # the text before a number names it
 _COMMA, _NUMBER = re.compile(r"\d,\d"), re.compile(r"(?<!\w)\d")
 _LOOKED_AT = 400  # lines
 _MIN_VALUES, _MIN_SHARE = 2, 0.5  # values; share of the examined lines that fit
@@ -179,7 +180,7 @@ def _template(lines: Sequence[str], decimal: str) -> tuple[float, set[str], Temp
     kept = [i for i in range(len(columns)) if i not in fixed]
     if len(alike) >= _MIN_ALIKE and len(kept) > _MIN_LIST:
         apart = _outside(kept, raw) & {*constant}
-        fixed |= {i: "" for i in apart if not raw[i].rstrip().endswith("=")}
+        fixed |= {i: "" for i in apart if not _NAMED.search(raw[i]) or raw[i + 1][:1] == "]"}
     names = _names(raw, columns, fixed, clocks)
     if not names:
         return None

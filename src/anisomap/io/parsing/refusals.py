@@ -215,7 +215,7 @@ def refuse_turned(
     if table.block or table.nested:
         return
     rows, known = rows_of(table, sample), {*roles.non_sensors} - {*table.text_columns}
-    readings = np.delete(start, roles.non_sensors, axis=1)
+    others = roles.non_sensors
     for i in range(min(_COLUMNS_LOOKED_AT, table.n_columns)):
         named = table.names[i].strip() if table.names else ""
         cells = [row[i] for row in rows]
@@ -229,7 +229,8 @@ def refuse_turned(
             raise RefusedError(f"{table.path}: {problem}, that is, transpose the table")
         counts = i in known or (named and named.lower() in COUNTER_NAMES)
         levels = [] if counts else _cycle(cells)
-        if not counts and (not named or words & _LINE_WORDS) and _alternate(cells, readings):
+        labels = words & _LINE_WORDS or not (named or any(map(is_number, cells)))
+        if not counts and labels and _alternate(cells, np.delete(start, [i, *others], axis=1)):
             raise RefusedError(f"{table.path}: {label} {_OF_BOARDS}", _KEEP)
         text = bool(levels) and not is_number(levels[0])
         evident = text or bool(table.numeric) or words & _LINE_WORDS

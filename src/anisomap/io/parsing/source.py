@@ -193,8 +193,8 @@ def open_text(path: Path) -> Iterator[TextLines]:
     """Open a file as UTF-8 text: decompressed, without byte order mark, with its line ends."""
     with _open(path) as (stream, raw):
         start = _read_start(stream)
-        nulls = {place % 2 for place, byte in enumerate(start) if not byte}
-        if start.startswith(_UTF16) or len(nulls) == 1:
+        nulls = sorted((start[::2].count(0), start[1::2].count(0)))
+        if start.startswith(_UTF16) or (nulls[0] == 0 and 4 * nulls[1] > len(start)):
             raise FileError(f"{path} is UTF-16 text; save it as UTF-8")
         if b"\0" in start:
             raise FileError(f"{path} is binary, not text")
