@@ -38,7 +38,7 @@ from anisomap.layout.judging import Judge, agreement, own_agreement
 from anisomap.layout.module_changes import Change
 from anisomap.layout.modules import Mounting, find_modules, orientation
 from anisomap.layout.readings import N_SHIFTS, ReadingStatistics, reading_statistics
-from anisomap.layout.search import SMALLER, Search
+from anisomap.layout.search import Search
 from anisomap.layout.together import AGREEING, bonds, unsure_patches
 from anisomap.layout.whole import ScanOrder, agreement_as_a_whole, best_rival, own_images
 from anisomap.names import match_names, match_sensors
@@ -378,7 +378,6 @@ class _Checked:
         distance = np.linalg.norm(
             np.concatenate([change.move.places - change.stated for change in changes]), axis=1
         )
-        # The centre of a turned module does not move.
         changed = distance > _SAME * self.spacing
         finding = LayoutFinding(
             kind,
@@ -438,8 +437,7 @@ class _Checked:
                 f"{self._listed(other for _, other in others)}, but adjacent modules of this shape "
                 f"are {self.mounting.clearance:.3g} apart"
             )
-            # If both agree with about equally many others, either one may be correct.
-            told = counts[m] > 1 or SMALLER * size[m] <= size[others[0][1]]
+            told = counts[m] > 1 or 2 * size[m] <= size[others[0][1]]
             both = [m] if told else [m, others[0][1]]
             sensors = np.concatenate([self.mounting.members[one] for one in both])
             kind = "overlapping" if told else CONTRADICTING
@@ -458,7 +456,6 @@ class _Checked:
         move, back = Move(sensors, there), Move(sensors, stated)
         verdict = search.weigh(search.evidence.moved(back), move, kind)
         moved = sensors[(there != stated).any(axis=1)]
-        # A few tested sensors are no evidence against many others.
         if not (verdict.holds and np.mean(self.usable[moved]) >= _MIN_TESTED):
             proposed[sensors] = stated
             return

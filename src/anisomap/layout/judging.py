@@ -118,13 +118,11 @@ class Judge:
         if in_place:
             return Verdict(gain, least, z, agrees=of_all > 0)
         if group or free:
-            # Few sensors should not outweigh the others of a group.
             of_all = float(np.median(gains))
         agrees = (
             of_all > self._typical * (_MIN_OF_FEW if few else _MIN_AGREEMENT)
             # A correct sensor must not take part in an exchange of others.
             and (group or free or gains[0] > 0)
-            # If most sensors are moved, too few remain for comparison.
             and 2 * len(move.sensors) <= np.count_nonzero(evidence.usable)
             # In layouts of closed bodies, cut open, a module is near others on both sides of a cut.
             and (not free or around(evidence, move).gain(move) >= 0)

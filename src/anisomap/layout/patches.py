@@ -25,9 +25,10 @@ _N_ANGLES = 24  # rotations, and as many reflections
 _N_LINKS = 40  # most similar pairs of a sensor of a patch and another, which should be near
 _NEAR = 2.5  # maximum spacings of such pairs
 _N_TRIED = 60  # motions whose likelihood is computed
-_N_REFINED = 3  # best motions, which are refined
+N_REFINED = 3  # best motions, which are refined
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than the remainder
 _MAX_EVALUATIONS = 150  # per refinement
+_SHIFT = (3.0, 10.0)  # spacings in space: patches gain by small motions, and bend with the layout
 _PRECISION = 0.05  # spacings; smaller than the distances of the falloff's bins
 
 
@@ -69,36 +70,42 @@ def _held_together(evidence: Evidence) -> list[NDArray[np.intp]]:
 
 
 def motions(
-    evidence: Evidence, sensors: NDArray[np.intp], least: float, *, shifted: bool = True
+    evidence: Evidence,
+    sensors: NDArray[np.intp],
+    least: float,
+    *,
+    in_plane: bool = False,
+    n_refined: int = N_REFINED,
 ) -> list[Move]:
     """Return the motions of a patch to free places, the best first.
 
-    The patch is turned and mirrored about its centre, and, if it may be shifted, moved so that
-    similar sensors are near.
+    The patch is turned and mirrored about its centre, and moved so that similar sensors are near.
 
     least: Minimum move of the median sensor in spacings.
+    in_plane: Whether the patch stays in its plane; in space, it is then either turned or moved.
     """
     here = evidence.positions[sensors]
-    others = evidence.usable.copy()
-    others[sensors] = False
-    outside = np.flatnonzero(others)
+    outside = np.setdiff1d(np.flatnonzero(evidence.usable), sensors)
     if not evidence.usable[sensors].any() or not outside.size:
         return []
     spacing, gains = evidence.falloff.spacing, evidence.gains(sensors, evidence.codes[None])
     tried = turns(here) if len(sensors) >= _MIN_PATCH else []
-    if shifted:
-        tried += _near_similar(evidence, sensors, outside, [here, *tried])
+    plane = axes(here)[:2] if in_plane else np.eye(here.shape[1])
+    bent, n_turned = len(plane) < here.shape[1], len(tried)
+    starts = [here, *([] if bent else tried)]
+    tried += _near_similar(evidence, sensors, outside, starts, plane)
     moves = sorted([(-gains(places)[0], i, places) for i, places in enumerate(tried)])
-    if shifted:
-        best = [_refined(gains, places, spacing) for *_, places in moves[:_N_REFINED]]
-        moves += [(-gains(places)[0], len(moves) + i, places) for i, places in enumerate(best)]
-        moves.sort()
+    best = [_refined(gains, places, spacing, plane) for *_, places in moves[:n_refined]]
+    moves += [(-gains(places)[0], len(moves) + i, places) for i, places in enumerate(best)]
+    moves.sort(key=lambda one: (bent and one[1] >= n_turned, one[0]))
     tree: Any = KDTree(evidence.positions[outside])
+    shortest, longest = np.multiply(_SHIFT if bent else (0, np.inf), spacing)
     return [
         Move(sensors, places)
-        for *_, places in moves
+        for _, i, places in moves
         if np.median(np.linalg.norm(places - here, axis=1)) >= least * spacing
         and np.mean(tree.query(places)[0] < _MIN_GAP * spacing) <= _MAX_IN_THE_WAY
+        and (i < n_turned or shortest <= np.linalg.norm((places - here).mean(axis=0)) <= longest)
     ]
 
 
@@ -107,6 +114,7 @@ def _near_similar(
     sensors: NDArray[np.intp],
     outside: NDArray[np.intp],
     starts: list[NDArray[np.float64]],
+    plane: NDArray[np.float64],
 ) -> list[NDArray[np.float64]]:
     """Shift a patch so that it is near the sensors that are most similar to it."""
     kept = evidence.usable[sensors]
@@ -116,7 +124,7 @@ def _near_similar(
     targets, spacing = evidence.positions[outside[outer]], evidence.falloff.spacing
     ranked = []
     for places in starts:
-        offsets = targets - places[kept][inner]
+        offsets = (targets - places[kept][inner]) @ plane.T @ plane
         close = np.linalg.norm(offsets[:, None] - offsets, axis=2) <= _NEAR * spacing
         votes = zip(close.sum(axis=1).tolist(), offsets, strict=True)
         ranked += [(-count, places + offset) for count, offset in votes]
@@ -124,18 +132,24 @@ def _near_similar(
     return [places for _, places in ranked[:_N_TRIED]]
 
 
+def axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the principal axes (k, k) of points in space; on flat layouts, the identity."""
+    if points.shape[1] == 2:
+        return np.eye(2)
+    return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2])
+
+
 def turns(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Turn and mirror points (m, k) about their centre, in their plane."""
-    centre, k = points.mean(axis=0), points.shape[1]
-    axes = np.eye(k) if k == 2 else np.linalg.svd(points - centre, full_matrices=False)[2]
-    flat = (points - centre) @ axes.T
+    centre, k, along = points.mean(axis=0), points.shape[1], axes(points)
+    flat = (points - centre) @ along.T
     found = []
     for angle in 2 * np.pi * np.arange(_N_ANGLES) / _N_ANGLES:
         for hand in (1.0, -1.0):
             turn = np.eye(k)
             cos, sin = np.cos(angle), np.sin(angle)
             turn[:2, :2] = [[cos, -hand * sin], [sin, hand * cos]]
-            found.append(flat @ turn.T @ axes + centre)
+            found.append(flat @ turn.T @ along + centre)
     return found[1:]  # the first is the identity
 
 
@@ -143,9 +157,10 @@ def _refined(
     gains: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     guess: NDArray[np.float64],
     spacing: float,
+    plane: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Refine the place, and for three or more sensors the rotation, from an initial estimate."""
-    dimensions = guess.shape[1]
+    dimensions = len(plane)
     centre = guess.mean(axis=0)
     radius = max(float(np.linalg.norm(guess - centre, axis=1).max()), spacing)
     n_angles = 0 if len(guess) < _MIN_PATCH else 1 if dimensions == 2 else 3
@@ -155,8 +170,9 @@ def _refined(
         if n_angles:
             # A step of 1 in every parameter moves the outermost sensor by about a spacing.
             angles = parameters[dimensions:] * spacing / radius
-            moved = moved @ rotations(angles[None])[0].T
-        return np.asarray(moved + centre + parameters[:dimensions] * spacing)
+            turn = rotations(angles[None])[0] - np.eye(dimensions)
+            moved = moved + moved @ plane.T @ turn.T @ plane
+        return np.asarray(moved + centre + parameters[:dimensions] @ plane * spacing)
 
     def loss(parameters: Any) -> float:
         return -float(gains(placed(parameters))[0])

@@ -14,14 +14,16 @@ from anisomap.layout.modules import Mounting
 from anisomap.layout.patches import free_moves
 from anisomap.layout.sensors import cable_shifts, reassigned
 from anisomap.layout.together import AGREEING, border, moved_patches, on_places, other_side
+from anisomap.numerics.neighbours import linked_labels
 
 _MAX_ROUNDS = 12
 _PRICE_OF_PATCH = 100.0  # nats; by hand
 _MIN_RUN_GAIN = 60.0  # nats; beside a moved patch, a run of a correct module gained 41
 _LEFT = 0.5  # share of its gain that a move must keep after other moves; by hand
 
-SMALLER = 1.3
-"""Ratio of numbers of modules from which the larger of two contradicting parts is correct."""
+_WHOLE = 0.55  # of the other modules, which must be linked for a shift in space; by hand
+SMALLER, SMALLER_IN_SPACE = 1.3, 2.0
+"""Ratio of modules from which the larger of two contradicting parts is correct; by hand."""
 
 
 def _price(change: Change) -> float:
@@ -61,8 +63,7 @@ class Search:
             if found is None:
                 break
             joint = found[1]
-            # A patch may have moved next to another patch at a wrong place.
-            for first in moved:
+            for first in moved:  # one may have moved next to another at a wrong place
                 back = Move(first.move.sensors, first.stated)
                 rest = {m for one in (*moved, found[0]) if one is not first for m in one.modules}
                 if not rest & {*first.modules} and joint.evidence.gain(back) > -MIN_GROUP_GAIN:
@@ -82,16 +83,22 @@ class Search:
         """Return a patch that certainly moved, and the arrangement with this patch moved."""
         self.undecided, start, mounting = [], joint.stated, joint.mounting
         for modules, move in moved_patches(start, mounting, joint.evidence):
-            if any({*modules} <= {*one, *other} for one, other in self.undecided):
-                continue
             others, back = other_side(start, mounting, modules, move)
             # Relative motion alone does not determine which of two parts moved.
-            ratio = len(others) / len(modules)
-            if 0 < ratio <= 1 / SMALLER:
+            ratio, flat = len(others) / len(modules), start.positions.shape[1] == 2
+            least, smaller = (0, SMALLER) if flat else (1, SMALLER_IN_SPACE)
+            shift = (move.places - start.positions[move.sensors]).mean(axis=0)
+            if not flat and np.linalg.norm(shift) > start.falloff.spacing:
+                rest = np.delete(np.delete(mounting.adjacent, modules, 0), modules, 1)
+                if np.bincount(linked_labels(rest)).max() < _WHOLE * len(rest):
+                    continue  # beside a board that moved, others fit at shifted places, too
+            if ratio <= least or any({*modules} <= {*one, *two} for one, two in self.undecided):
+                continue
+            if ratio <= 1 / smaller:
                 found = self._patch(joint, others, on_places(start, mounting, others, back) or back)
             else:
                 found = self._patch(joint, modules, move)
-            if found and not 1 / SMALLER < ratio < SMALLER:
+            if found and not 1 / smaller < ratio < smaller:
                 return found
             if found:
                 self.undecided.append((modules, others))
@@ -119,7 +126,6 @@ class Search:
         price, before = (sum(map(_price, one.changes)) for one in (other, joint))
         fewer = price + _PRICE_OF_PATCH < before
         fewer = fewer and joint.evidence.gain(all_moves) > -MIN_GROUP_GAIN
-        # Pads at the border are few, so their agreement is weaker evidence than all pads.
         left, then = (border(one.evidence, joint.mounting, modules) for one in (joint, other))
         better = then - left > AGREEING and self.judge.certainly_gains(joint.evidence, all_moves)
         if not (verdict.told and then > AGREEING and (fewer or better)):

@@ -11,15 +11,14 @@ from scipy.spatial.distance import cdist
 from anisomap.layout.evidence import MIN_GAIN, Evidence, Move
 from anisomap.layout.judging import MIN_GROUP_GAIN, around
 from anisomap.layout.modules import Mounting
-from anisomap.layout.patches import motions, turns
+from anisomap.layout.patches import N_REFINED, motions, turns
 from anisomap.numerics.neighbours import linked_labels
 from anisomap.numerics.procrustes import fit_similarity
 
 AGREEING = 0.35
 """Minimum evidence that two modules are adjacent, relative to the evidence expected if they are.
 
-In correct layouts of the iCub's torso, it is 0.5 and more; around a turned patch, 0.05 and less;
-and for modules that are elsewhere, -0.6 and less.
+In correct layouts of the iCub's torso, it is 0.5 and more; around a turned patch, 0.05 and less.
 """
 
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than the remainder
@@ -29,6 +28,8 @@ _LEAST = 2.0  # minimum move of the median sensor in spacings
 _SAME = 0.6  # spacings of pads: turned patches of bent layouts fit their places less than exactly
 _PULL = 1.0  # the same, on flat layouts: contacts of unequal reach pull patches
 _NEARLY = 0.9  # of its gain: a patch on places of modules is nearly as good as at the best place
+_LEAST_IN_SPACE = 4  # modules; correct boards of three also fit beside moved patches
+_TRUSTED = 0.8  # of the expected evidence of others, in space: torso and arm .88, meshes .44 to .55
 _FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns can hardly be detected
 
 
@@ -41,8 +42,9 @@ def moved_patches(
         unchanged groups that agree with adjacent modules in it are correct.
     """
     largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
-    found = []
-    groups, flat = _contradicted(evidence, mounting), evidence.positions.shape[1] == 2
+    found: list[tuple[float, list[int], Move]] = []
+    flat, pairs = evidence.positions.shape[1] == 2, bonds(evidence, mounting)
+    groups = _contradicted(evidence, mounting)
     if flat:  # in space, modules alone move to free places only
         alone = bonds(arranged, mounting)[0].sum(axis=1) < 0
         groups += [[m] for m in np.flatnonzero(alone).tolist()]
@@ -50,21 +52,28 @@ def moved_patches(
         sensors = np.concatenate([mounting.members[m] for m in group])
         changed = (arranged.positions[sensors] != evidence.positions[sensors]).any()
         agrees = not changed and border(arranged, mounting, group) > AGREEING
-        if agrees or len(sensors) > largest:
+        rest, expected = np.delete(np.delete(pairs, group, 1), group, 2).sum(axis=(1, 2))
+        trusted = flat or (len(group) >= _LEAST_IN_SPACE and rest > _TRUSTED * expected)
+        if agrees or len(sensors) > largest or not trusted:
             continue
-        # Layouts in space are bent: there, patches gain by any small motion.
-        moves = motions(evidence, sensors, _LEAST, shifted=flat)
-        if moves and evidence.gain(moves[0]) >= MIN_GROUP_GAIN:
-            # On bodies cut open, a patch also fits beside others across the cut.
-            beside = around(evidence, moves[0]).gains(sensors, evidence.codes[None])
-            gains = np.concatenate([beside(move.places) for move in moves])
-            worth = gains.max() - MIN_GROUP_GAIN * len(group)
-            if worth >= 0:
-                found.append((worth, group, moves[(gains >= _NEARLY * gains.max()).argmax()]))
-    # Of two groups, the one with more evidence at the border is wrong: both gain across a cut.
-    found.sort(key=lambda one: -one[0])
-    best = [(group, on_places(evidence, mounting, group, one)) for _, group, one in found[:_N_BEST]]
-    return [(group, move) for group, move in best if move]
+        found.append((0.0, group, Move(sensors, evidence.positions[sensors])))
+    for n_refined in (1, N_REFINED):
+        better = [_best_motion(evidence, group, move, n_refined) for _, group, move in found]
+        found = sorted((one for one in better if one), key=lambda one: -one[0])[:_N_BEST]
+    return [(g, to) for _, g, one in found if (to := on_places(evidence, mounting, g, one))]
+
+
+def _best_motion(
+    evidence: Evidence, modules: list[int], move: Move, n_refined: int
+) -> tuple[float, list[int], Move] | None:
+    """Return the best motion of a patch in its plane, by its gain there: bodies are cut open."""
+    moves = motions(evidence, move.sensors, _LEAST, in_plane=True, n_refined=n_refined)
+    if not moves:
+        return None
+    beside = around(evidence, move).gains(move.sensors, evidence.codes[None])
+    gains = np.concatenate([beside(one.places) for one in moves])
+    worth, best = gains.max() - MIN_GROUP_GAIN * len(modules), gains >= _NEARLY * gains.max()
+    return (float(worth), modules, moves[best.argmax()]) if worth >= 0 else None
 
 
 def bonds(evidence: Evidence, mounting: Mounting) -> NDArray[np.float64]:
@@ -96,16 +105,12 @@ def border(evidence: Evidence, mounting: Mounting, modules: Sequence[int]) -> fl
 def other_side(
     evidence: Evidence, mounting: Mounting, modules: list[int], move: Move
 ) -> tuple[list[int], Move]:
-    """Return the modules that contradict given ones at their border, and the reverse motion.
-
-    These modules agree with each other.
-    """
+    """Return groups of agreeing modules that contradict modules, and their reverse motion."""
     found, expected = bonds(evidence, mounting)
     against, agreeing = found[modules].sum(axis=0), found > AGREEING * expected
     agreeing[modules], agreeing[:, modules], against[modules] = False, False, 0
     label = linked_labels(agreeing)
-    chosen = label == np.bincount(label, np.minimum(against, 0)).argmin()
-    others = np.flatnonzero(chosen).tolist() if (against[chosen] < 0).any() else []
+    others = np.flatnonzero(np.bincount(label, against)[label] < 0).tolist()
     sensors = np.concatenate([np.empty(0, int), *(mounting.members[m] for m in others)])
     here = evidence.positions[move.sensors]
     back = fit_similarity(move.places, here, scaling=False, reflection=None)

@@ -288,7 +288,9 @@ def _print_check(
     printer.facts(
         title,
         {
-            "sensors tested": f"{found.n_tested} of {layout.n_sensors}",
+            "sensors tested": "none, since the layout is rejected"
+            if found.verdict == "rejected"
+            else f"{found.n_tested} of {layout.n_sensors}",
             "modules": _modules(found),
             "as a whole": f"{percent(max(0.0, found.explained))} of the possible agreement "
             f"(p = {found.p:.2g} against shuffled layouts)",
