@@ -73,13 +73,6 @@ def test_lists_in_text_name_the_line_that_reads_them(name: str, tmp_path: Path) 
         io.read(path)
 
 
-def test_a_line_for_each_reading_names_the_table_of_pandas(tmp_path: Path) -> None:
-    path = tmp_path / "x.csv"
-    path.write_text("event,sensor,pressure\n7,left,2.5\n7,right,4\n9,right,1\n")
-    with pytest.raises(FileError, match=r"pivot\(index='event', columns='sensor', values='press"):
-        io.read(path)
-
-
 @pytest.mark.parametrize(
     "text",
     [

@@ -123,6 +123,7 @@ def candump(form):
 SMOOTH = RNG.normal(size=(T, 2, 6)).cumsum(axis=0).round(2)
 MIXED = RNG.permuted([[0, 1]] * T, axis=1)
 REFUSED = {
+    "json": (json.dumps({"data": PRESSED.tolist()}), "lines with an object or a list per frame"),
     "numpy, in short": (
         lines(lambda t, row: np.array2string(np.tile(row, 99), threshold=9)),
         "leaves out numbers, as in .*savetxt",
@@ -199,11 +200,6 @@ def test_logs_are_refused_with_what_would_be_right(put, kind: str) -> None:
     assert kind == "two tables" or not len(sent(text.encode())[1])
     with pytest.raises(FileError, match=said):
         io.read(put("log.csv", text))
-
-
-def test_documents_of_json_say_what_is_read(put) -> None:
-    with pytest.raises(FileError, match="lines with an object or a list per frame"):
-        io.read(put("log.json", json.dumps({"data": PRESSED.tolist()})))
 
 
 TIMED = np.column_stack([np.arange(T) / 50, PRESSED])

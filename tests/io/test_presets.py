@@ -1,16 +1,11 @@
 """Sensors, names and positions of robots with a known numbering, and of grids."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from anisomap import Recording, io
 from anisomap.errors import InputError
 from anisomap.io.presets import apply_preset
-
-Put = Callable[[str, str | bytes], Path]
 
 
 def skin(n_boards: int = 2, *, rest: float = 0.0, source: str = "") -> Recording:

@@ -414,12 +414,12 @@ class _Checked:
             yield ModuleChange(label, angle, mirror, old, new)
 
     def _find_overlaps(self, evidence: Evidence) -> None:
-        """Report modules that are nearer than their shape allows, unless a finding explains this.
-
-        Of two modules, the one that agrees with fewer others, directly or indirectly, is reported.
-        """
+        """Report unexplained overlaps of modules; of two, the one that agrees with fewer others."""
         moved = [i for one in self.findings if one.kind != DEAD for i in one.sensors.tolist()]
-        changed = set(self.mounting.owner[moved].tolist())
+        # Wrong pads are not among the members of their module, but move its fit.
+        module = self.modules.index[self.rows]
+        ours = [module[members[0]] for members in self.mounting.members]
+        changed = set(np.flatnonzero(np.isin(ours, module[moved])).tolist())
         left = [one for one in self.mounting.overlaps if not changed & {*one[:2]}]
         if not left:
             return
@@ -437,7 +437,7 @@ class _Checked:
                 f"{self._listed(other for _, other in others)}, but adjacent modules of this shape "
                 f"are {self.mounting.clearance:.3g} apart"
             )
-            told = counts[m] > 1 or 2 * size[m] <= size[others[0][1]]
+            told = 2 * size[m] <= size[others[0][1]]
             both = [m] if told else [m, others[0][1]]
             sensors = np.concatenate([self.mounting.members[one] for one in both])
             kind = "overlapping" if told else CONTRADICTING

@@ -24,11 +24,11 @@ In correct layouts of the iCub's torso, it is 0.5 and more; around a turned patc
 _MAX_SHARE = 0.5  # of the sensors: a patch is smaller than the remainder
 _N_GROUPS = 8  # smallest contradicted groups
 _N_BEST = 3  # patches tried
-_LEAST = 2.0  # minimum move of the median sensor in spacings
+_LEAST_MOVE = 2.0  # minimum move of the median sensor in spacings
 _SAME = 0.6  # spacings of pads: turned patches of bent layouts fit their places less than exactly
 _PULL = 1.0  # the same, on flat layouts: contacts of unequal reach pull patches
 _NEARLY = 0.9  # of its gain: a patch on places of modules is nearly as good as at the best place
-_LEAST_IN_SPACE = 4  # modules; correct boards of three also fit beside moved patches
+_LEAST = 4  # modules of a patch; correct boards of three also fit beside wrong modules
 _TRUSTED = 0.8  # of the expected evidence of others, in space: torso and arm .88, meshes .44 to .55
 _FAR = 3.0  # spacings by which the outermost sensor moves: smaller turns can hardly be detected
 
@@ -53,7 +53,7 @@ def moved_patches(
         changed = (arranged.positions[sensors] != evidence.positions[sensors]).any()
         agrees = not changed and border(arranged, mounting, group) > AGREEING
         rest, expected = np.delete(np.delete(pairs, group, 1), group, 2).sum(axis=(1, 2))
-        trusted = flat or (len(group) >= _LEAST_IN_SPACE and rest > _TRUSTED * expected)
+        trusted = (flat or rest > _TRUSTED * expected) and (len(group) >= _LEAST or len(group) == 1)
         if agrees or len(sensors) > largest or not trusted:
             continue
         found.append((0.0, group, Move(sensors, evidence.positions[sensors])))
@@ -67,7 +67,7 @@ def _best_motion(
     evidence: Evidence, modules: list[int], move: Move, n_refined: int
 ) -> tuple[float, list[int], Move] | None:
     """Return the best motion of a patch in its plane, by its gain there: bodies are cut open."""
-    moves = motions(evidence, move.sensors, _LEAST, in_plane=True, n_refined=n_refined)
+    moves = motions(evidence, move.sensors, _LEAST_MOVE, in_plane=True, n_refined=n_refined)
     if not moves:
         return None
     beside = around(evidence, move).gains(move.sensors, evidence.codes[None])

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from anisomap.numerics.reliability.sampling_noise import blended_correlation
-from anisomap.numerics.similarity.correlation import (
-    correlation_and_reliability,
-    pearson,
-    spearman,
-)
+from anisomap.numerics.similarity.correlation import correlation_and_reliability, pearson, spearman
 from anisomap.numerics.similarity.rest import estimate_rest
 from skins import flat_skin
 
