@@ -44,7 +44,7 @@ def moved_patches(
     largest = _MAX_SHARE * np.count_nonzero(evidence.usable)
     found: list[tuple[float, list[int], Move]] = []
     flat, pairs = evidence.positions.shape[1] == 2, bonds(evidence, mounting)
-    groups = _contradicted(evidence, mounting)
+    groups = _contradicted(*pairs)
     if flat:  # in space, modules alone move to free places only
         alone = bonds(arranged, mounting)[0].sum(axis=1) < 0
         groups += [[m] for m in np.flatnonzero(alone).tolist()]
@@ -137,14 +137,14 @@ def unsure_patches(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
     return found
 
 
-def _contradicted(evidence: Evidence, mounting: Mounting) -> list[list[int]]:
+def _contradicted(found: NDArray[np.float64], expected: NDArray[np.float64]) -> list[list[int]]:
     """Return the groups of modules that agree with each other, but with no adjacent module.
 
+    found, expected (M, M): See `bonds`.
     Greedy additive edge contraction: Keuper et al. (2015), ICCV, 1751-1759.
     """
-    found, expected = bonds(evidence, mounting)
     weights = found - AGREEING * expected
-    groups = [[m] for m in range(mounting.n_modules)]
+    groups = [[m] for m in range(len(found))]
     contradicted = []
     while len(groups) > 1:
         np.fill_diagonal(weights, -np.inf)
